@@ -1,0 +1,58 @@
+# Everything here works on a fresh machine with Python 3.11, pip, make and a C compiler.
+PYTHON ?= python3.11
+ifeq (, $(shell command -v $(PYTHON) 2>/dev/null))
+PYTHON := python3
+endif
+VENV ?= .venv
+BIN := $(VENV)/bin
+# The public index of PyTorch's CPU wheels; where it cannot be reached, pip's configured index is used.
+TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
+TORCH := torch==2.13.0
+
+.DEFAULT_GOAL := help
+.PHONY: help serve test lint types imports check-migrations unit clean
+
+help: ## list the targets
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
+
+$(BIN)/python:
+	$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), "Kinecast needs Python 3.11 or newer"'
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.torch: | $(BIN)/python
+	@if $(BIN)/python -c "import urllib.request as u; u.urlopen('$(TORCH_INDEX)/torch/', timeout=5)" 2>/dev/null; \
+	then echo "$(TORCH) from $(TORCH_INDEX)"; $(BIN)/pip install -q --index-url $(TORCH_INDEX) $(TORCH); \
+	else echo "$(TORCH) from pip's configured index"; $(BIN)/pip install -q $(TORCH); fi
+	@touch $@
+
+$(VENV)/.serve: pyproject.toml .constraints.txt $(VENV)/.torch
+	$(BIN)/pip install -q -c .constraints.txt -e .
+	@touch $@
+
+$(VENV)/.test: pyproject.toml .constraints.txt $(VENV)/.torch
+	$(BIN)/pip install -q -c .constraints.txt -e '.[dev]'
+	@touch $@ $(VENV)/.serve
+
+serve: $(VENV)/.serve ## set up what is missing and start the service on http://127.0.0.1:8000
+	@$(BIN)/kinecast serve $(ARGS)
+
+test: $(VENV)/.test lint types imports check-migrations unit ## lint, types, layers, migrations and all tests with coverage
+
+lint: $(VENV)/.test ## style and common errors
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+
+types: $(VENV)/.test ## mypy --strict
+	$(BIN)/mypy
+
+imports: $(VENV)/.test ## the layers of the code, as contracts
+	$(BIN)/lint-imports
+
+check-migrations: $(VENV)/.test ## the migrations give exactly the tables of the code
+	$(BIN)/kinecast db check
+
+unit: $(VENV)/.test ## all tests with branch coverage (ARGS="-k stream" for some)
+	$(BIN)/pytest --cov --cov-report=term $(ARGS)
+
+clean: ## remove the virtual environment and caches
+	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .hypothesis build *.egg-info
