@@ -1,0 +1,1 @@
+"""Plain values and rules of the service: no input or output, no torch, no SQL."""
