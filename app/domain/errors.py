@@ -49,7 +49,6 @@ code an error gets is decided in one table, ``app.api.errors``.
     │   └── DrainingError             draining
     ├── InternalError                 internal_error       a defect; never says more than that
     └── StartError                    cannot_start         only on the command line
-        ├── SettingsError             bad_settings
         └── MigrationError            database_not_migrated
 """
 
@@ -436,13 +435,6 @@ class StartError(KinecastError):
 
     code = "cannot_start"
     title = "The service cannot start"
-
-
-class SettingsError(StartError):
-    """A setting is unknown or wrong."""
-
-    code = "bad_settings"
-    title = "A setting is wrong"
 
 
 class MigrationError(StartError):

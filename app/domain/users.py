@@ -1,0 +1,42 @@
+"""The people whose motion is forecast."""
+
+import hashlib
+import hmac
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Literal
+from uuid import UUID
+
+UpAxis = Literal["y", "-y", "z"]
+
+USER_ID_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
+"""User ids are chosen by the operator, and case-sensitive."""
+
+
+@dataclass(frozen=True, slots=True)
+class User:
+    """One person.
+
+    Attributes:
+        uuid: what all rows of the person hang on. It is new whenever an id is created again, so
+            a re-created id never meets old data.
+        id: the operator's name for the person.
+        skeleton: name of the skeleton format that the person's poses come in.
+        up: which axis of those poses points up.
+        root_relative: whether the sensor gives positions relative to the hips only.
+        display_name: free text for people, None if not given.
+        created_at: when the row was made.
+    """
+
+    uuid: UUID
+    id: str
+    skeleton: str
+    up: UpAxis
+    root_relative: bool
+    display_name: str | None
+    created_at: datetime
+
+
+def pseudonym(user_id: str, *, key: bytes) -> str:
+    """Give what the audit log keeps of an erased user: the HMAC-SHA-256 of the id, in hex."""
+    return hmac.new(key, user_id.encode(), hashlib.sha256).hexdigest()

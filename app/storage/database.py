@@ -1,0 +1,165 @@
+"""Connections and transactions; the only place that commits.
+
+One transaction per request or step, never one held open while something else is awaited for long.
+SQLite gives one writer at a time: a write transaction says so at its beginning, because one that
+reads first and then writes fails at once, whatever the timeout, when another wrote in between.
+"""
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import Connection, event, text
+from sqlalchemy.engine import URL, make_url
+from sqlalchemy.exc import ArgumentError, InterfaceError, OperationalError
+from sqlalchemy.exc import TimeoutError as PoolTimeoutError
+from sqlalchemy.ext.asyncio import AsyncEngine, AsyncSession, create_async_engine
+
+from app.domain.errors import NotReadyError, StartError
+from app.settings import Settings
+
+SQLITE_FILE = "kinecast.sqlite3"
+_WRITE = "kinecast_write"
+_DRIVERS = {
+    "postgresql": "postgresql+psycopg",
+    "postgres": "postgresql+psycopg",
+    "postgresql+psycopg": "postgresql+psycopg",
+    "sqlite": "sqlite+aiosqlite",
+    "sqlite+aiosqlite": "sqlite+aiosqlite",
+}
+_UNREACHABLE = (OperationalError, InterfaceError, PoolTimeoutError)
+
+
+def find_database(settings: Settings) -> URL:
+    """Tell where the data is: at the given address, or in a SQLite file of the data folder.
+
+    Raises:
+        StartError: the address is none, or of another kind of database.
+    """
+    if settings.database_url is None:
+        return URL.create("sqlite+aiosqlite", database=str(settings.data_dir / SQLITE_FILE))
+    try:
+        url = make_url(settings.database_url)
+    except ArgumentError:
+        raise StartError("KINECAST_DATABASE_URL is not the address of a database.") from None
+    if url.drivername not in _DRIVERS:
+        raise StartError(f"KINECAST_DATABASE_URL: no support for {url.drivername}.")
+    return url.set(drivername=_DRIVERS[url.drivername])
+
+
+class Database:
+    """The pool of connections to one database.
+
+    Args:
+        url: where it is, as ``find_database`` gives it.
+        pool: most open connections.
+        timeout_s: longest wait for a connection or for another writer.
+    """
+
+    def __init__(self, url: URL, *, pool: int = 5, timeout_s: float = 5.0) -> None:
+        self.url = url
+        self.is_sqlite = url.get_backend_name() == "sqlite"
+        options: dict[str, Any] = {"pool_size": pool, "max_overflow": 0, "pool_timeout": timeout_s}
+        if self.is_sqlite:
+            self._make_folder()
+        else:
+            options |= {"pool_pre_ping": True, "connect_args": _postgres_options(timeout_s)}
+        self._engine = create_async_engine(url, **options)
+        if self.is_sqlite:
+            _control_transactions(self._engine, timeout_s=timeout_s)
+        self._readers = self._engine.execution_options(postgresql_readonly=not self.is_sqlite)
+        self._writers = self._engine.execution_options(**{_WRITE: True})
+
+    @classmethod
+    def from_settings(cls, settings: Settings) -> "Database":
+        """Make the pool that the settings describe; connects to nothing yet."""
+        return cls(
+            find_database(settings),
+            pool=settings.database_pool,
+            timeout_s=settings.database_timeout_s,
+        )
+
+    @asynccontextmanager
+    async def read(self) -> AsyncIterator[AsyncSession]:
+        """Open a transaction for reading: one consistent view, never stored.
+
+        Raises:
+            NotReadyError: the database cannot be reached, or every connection is in use.
+        """
+        async with _translate_outage(), AsyncSession(self._readers) as session:
+            yield session
+
+    @asynccontextmanager
+    async def write(self) -> AsyncIterator[AsyncSession]:
+        """Open a transaction for writing: stored at the end of the block, or not at all.
+
+        Raises:
+            NotReadyError: the database cannot be reached, or another writer takes too long.
+        """
+        async with (
+            _translate_outage(),
+            AsyncSession(self._writers, expire_on_commit=False) as session,
+            session.begin(),
+        ):
+            yield session
+
+    @asynccontextmanager
+    async def lock(self, name: str) -> AsyncIterator[AsyncSession]:
+        """Open a write transaction that no other of the same name overlaps, on any replica."""
+        async with self.write() as session:
+            if not self.is_sqlite:  # where a write transaction is already the only one
+                statement = text("SELECT pg_advisory_xact_lock(hashtext(:name))")
+                await session.execute(statement, {"name": name})
+            yield session
+
+    async def ping(self) -> None:
+        """Ask the database for a sign of life.
+
+        Raises:
+            NotReadyError: it gave none.
+        """
+        async with self.read() as session:
+            await session.execute(text("SELECT 1"))
+
+    async def close(self) -> None:
+        """Close every connection."""
+        await self._engine.dispose()
+
+    def _make_folder(self) -> None:
+        """Make the folder of the file, for nobody else to read: the data are personal."""
+        if self.url.database:
+            Path(self.url.database).parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+
+
+@asynccontextmanager
+async def _translate_outage() -> AsyncIterator[None]:
+    try:
+        yield
+    except _UNREACHABLE as error:
+        raise NotReadyError("The database cannot be reached.") from error
+
+
+def _postgres_options(timeout_s: float) -> dict[str, Any]:
+    return {"connect_timeout": max(1, round(timeout_s)), "application_name": "kinecast"}
+
+
+def _control_transactions(engine: AsyncEngine, *, timeout_s: float) -> None:
+    """Begin transactions ourselves: left alone, Python's driver begins them late or never."""
+
+    @event.listens_for(engine.sync_engine, "connect")
+    def prepare(connection: Any, record: object) -> None:  # noqa: ANN401 - SQLAlchemy's adapter
+        del record
+        connection.isolation_level = None
+        cursor = connection.cursor()
+        cursor.execute(f"PRAGMA busy_timeout = {round(timeout_s * 1000)}")
+        cursor.execute("PRAGMA journal_mode = WAL")
+        cursor.execute("PRAGMA synchronous = NORMAL")
+        cursor.execute("PRAGMA foreign_keys = ON")
+        cursor.execute("PRAGMA secure_delete = ON")  # what is erased must not stay in the file
+        cursor.close()
+
+    @event.listens_for(engine.sync_engine, "begin")
+    def begin(connection: Connection) -> None:
+        writes = connection.get_execution_options().get(_WRITE, False)
+        connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
