@@ -1,0 +1,1 @@
+"""The live flow: frame, window, forecast."""

@@ -1,0 +1,188 @@
+"""The last second of one person, with the joints that the sensor lost carried along."""
+
+import math
+from collections import deque
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from app.live import guard
+from app.live.frames import SNAP_S, WindowRules
+from models.skeleton import HIP_CENTER, Skeleton, to_y_up
+
+CAPACITY = 160
+"""Frames kept: over a second at 120 Hz."""
+
+
+class History:
+    """Frames in the user's skeleton and frame of reference, without holes.
+
+    A missing joint is carried along with the hips (or, before it was ever seen, put where the
+    nearest joint is that was seen). When it comes back, what was carried is replaced by the line
+    between the two observations, so that its return is no jump; but `list_filled` names it until
+    the hole has left the window.
+    """
+
+    def __init__(self, skeleton: Skeleton, *, up: str, rules: WindowRules) -> None:
+        joints = len(skeleton.joints)
+        self.lost = True
+        self._skeleton, self._up, self._rules = skeleton, up, rules
+        self._root = skeleton.to_net[HIP_CENTER]
+        self._of_root = self._root != 0
+        self._is_net = np.array_equal(skeleton.to_net, np.eye(len(skeleton.to_net), joints))
+        self._nearest = _order_by_distance(skeleton)
+        self._times = np.zeros(2 * CAPACITY)
+        self._poses = np.zeros((2 * CAPACITY, joints, 3))
+        self._facts = np.zeros((2 * CAPACITY, guard.FACTS))
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget the person."""
+        joints = len(self._skeleton.joints)
+        self._start = self._end = 0
+        self._seen_t = np.full(joints, -math.inf)
+        self._mended_t = np.full(joints, -math.inf)
+        self._offsets = np.full((joints, 3), math.nan)
+        self._root_t = -math.inf
+        self.lost = True
+
+    def __len__(self) -> int:
+        return self._end - self._start
+
+    @property
+    def times(self) -> Float[np.ndarray, " frames"]:
+        """Client's clock, seconds, oldest first."""
+        return self._times[self._start : self._end]
+
+    @property
+    def poses(self) -> Float[np.ndarray, "frames joint 3"]:
+        """Metres, missing joints filled."""
+        return self._poses[self._start : self._end]
+
+    @property
+    def facts(self) -> Float[np.ndarray, "frames 4"]:
+        """What the guard measured of each frame."""
+        return self._facts[self._start : self._end]
+
+    @property
+    def span_s(self) -> float:
+        """Time from the oldest to the newest frame."""
+        return float(self.times[-1] - self.times[0]) if len(self) else 0.0
+
+    def to_net(self, poses: Float[np.ndarray, "time joint 3"]) -> Float[np.ndarray, "time 20 3"]:
+        """Bring poses of the user into the net's skeleton, y up."""
+        upright = poses if self._up == "y" else to_y_up(poses, self._up)
+        return upright if self._is_net else np.asarray(self._skeleton.to_net @ upright)
+
+    def add(
+        self, t: float, joints: Float[np.ndarray, "joint 3"], known: Bool[np.ndarray, " joint"]
+    ) -> bool:
+        """Append a frame of which at least one joint is known.
+
+        Returns:
+            Whether the hips are back after so long that everything before was forgotten.
+        """
+        has_root = bool(known[self._of_root].all())
+        too_long = t - self._root_t > self._rules.gap_s + SNAP_S
+        forgotten = has_root and too_long and len(self) > 0
+        if forgotten:
+            self.clear()
+        if has_root:
+            self._root_t = t
+        hidden = t - self._root_t > self._rules.missing_max_s + SNAP_S
+        self.lost = hidden or 2 * int(np.count_nonzero(known)) < len(known)
+        self._append(t, joints if known.all() else self._fill(joints, known, has_root=has_root))
+        if has_root:
+            self._mend(t, known)
+            pose = self._poses[self._end - 1]
+            self._offsets[known] = pose[known] - self._root @ pose
+        self._seen_t[known] = t
+        return forgotten
+
+    def list_filled(self, *, since_s: float) -> tuple[str, ...]:
+        """Name the joints that were missing for too long in the last `since_s` seconds."""
+        newest, oldest = self.times[-1], self.times[0]
+        absent = newest - np.maximum(self._seen_t, oldest)
+        missing = (absent > self._rules.missing_max_s + SNAP_S) | np.isinf(self._seen_t)
+        mended = self._mended_t > newest - since_s
+        return tuple(self._skeleton.joints[j] for j in np.flatnonzero(missing | mended))
+
+    def _append(self, t: float, pose: Float[np.ndarray, "joint 3"]) -> None:
+        if self._end == len(self._times):
+            kept = len(self)
+            for array in (self._times, self._poses, self._facts):
+                array[:kept] = array[self._start : self._end]
+            self._start, self._end = 0, kept
+        self._times[self._end], self._poses[self._end] = t, pose
+        self._facts[self._end] = guard.measure_body(self.to_net(pose[None])[0])
+        self._end += 1
+        self._start = max(self._start, self._end - CAPACITY)
+
+    def _fill(
+        self,
+        joints: Float[np.ndarray, "joint 3"],
+        known: Bool[np.ndarray, " joint"],
+        *,
+        has_root: bool,
+    ) -> Float[np.ndarray, "joint 3"]:
+        """Carry the missing joints: with the hips where they are known, else where they were."""
+        pose = np.where(known[:, None], joints, math.nan)
+        if has_root:
+            root = self._root @ np.where(known[:, None], joints, 0.0)
+            pose[~known] = root + self._offsets[~known]
+        elif len(self):
+            pose[~known] = self.poses[-1][~known]
+        for j in np.flatnonzero(np.isnan(pose).any(axis=1)):
+            pose[j] = joints[next(k for k in self._nearest[j] if known[k])]
+        return pose
+
+    def _mend(self, t: float, known: Bool[np.ndarray, " joint"]) -> None:
+        """Draw the lines of the joints that are back."""
+        if len(self) < 2:
+            return
+        back = known & (self._seen_t < self.times[-2])
+        for j in sorted(np.flatnonzero(back).tolist(), key=lambda j: not self._of_root[j]):
+            hole_s = t - max(float(self._seen_t[j]), float(self.times[0]))
+            is_long = hole_s > self._rules.missing_max_s + SNAP_S
+            if is_long:
+                self._mended_t[j] = t
+            self._draw_line(j, along_hips=is_long and not self._of_root[j])
+
+    def _draw_line(self, joint: int, *, along_hips: bool) -> None:
+        """Let a joint go from where it was last seen to where it is now.
+
+        A short hole is bridged in the room. During a long one the person may have walked on, so
+        there the line is one of offsets to the hips.
+        """
+        seen, times = self._seen_t[joint], self.times[:-1]
+        first = int(np.searchsorted(times, seen, side="right"))
+        hole = self.poses[first:-1]
+        now = self.poses[-1, joint].copy()
+        base = np.zeros((len(hole), 3))
+        if along_hips or first == 0:
+            base, now = self._root @ hole, now - self._root @ self.poses[-1]
+            old = self._offsets[joint]
+        else:
+            old = self.poses[first - 1, joint]
+        if np.isnan(old).any():  # never seen before
+            old, seen = now, times[0]
+        share = (times[first:] - seen) / (self.times[-1] - seen)
+        hole[:, joint] = base + old + share[:, None] * (now - old)
+
+
+def _order_by_distance(skeleton: Skeleton) -> list[list[int]]:
+    """For each joint, list all others by their number of bones away."""
+    joints = len(skeleton.joints)
+    near: list[set[int]] = [set() for _ in range(joints)]
+    for a, b in skeleton.bones:
+        near[a].add(b)
+        near[b].add(a)
+    ordered = []
+    for start in range(joints):
+        found, seen = deque([start]), [start]
+        while found:
+            for k in sorted(near[found.popleft()] - set(seen)):
+                seen.append(k)
+                found.append(k)
+        ordered.append(seen[1:] + [k for k in range(joints) if k not in seen])
+    return ordered

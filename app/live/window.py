@@ -1,0 +1,290 @@
+"""Frames at any rate, with holes, in any skeleton: made into the window that the net sees.
+
+The window is the grid `t_n - k/30` (k = 14 … 0) anchored at the newest frame. Times are float64 and
+only ever used as differences to `t_n`, so seconds since 1970 do as well as seconds since start.
+Shared by the stream, which pushes frame by frame, and by single requests, which bring an array.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from statistics import median
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from app.domain.errors import (
+    BadFrameError,
+    GapInHistoryError,
+    NoForecastError,
+    PersonLostError,
+    TimeNotIncreasingError,
+    TooLittleHistoryError,
+)
+from app.live import guard
+from app.live.frames import (
+    ENOUGH_STEPS,
+    SNAP_S,
+    WindowRules,
+    check_confidence,
+    check_joints,
+    check_times,
+)
+from app.live.history import CAPACITY, History
+from models.skeleton import Skeleton
+from models.spec import MotionSpec
+
+Restart = Literal["gap", "clock_restart"]
+WaitReason = Literal["warm_up", "gap", "clock_restart", "person_lost", "overloaded"]
+
+_STEPS = 9
+
+
+@dataclass(frozen=True, slots=True)
+class WindowReady:
+    """A complete window.
+
+    Attributes:
+        window: metres, net skeleton, y up, 30 Hz, oldest first.
+        last_joints: the newest frame in the user's skeleton and frame of reference, filled.
+        t: time of the newest frame on the client's clock, seconds.
+        flags: quality flags of the input.
+        filled: names of the joints that were carried for longer than may pass in silence.
+    """
+
+    window: Float[np.ndarray, "15 20 3"]
+    last_joints: Float[np.ndarray, "joint 3"]
+    t: float
+    flags: tuple[str, ...]
+    filled: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Waiting:
+    """Why there is no forecast yet: `have_s` of `need_s` seconds are there."""
+
+    reason: WaitReason
+    have_s: float
+    need_s: float
+
+
+class FrameBuffer:
+    """The frames of one stream, and the window that ends at the newest of them.
+
+    Grid points older than the oldest frame (by 17 ms at most) hold its pose.
+    """
+
+    def __init__(
+        self,
+        skeleton: Skeleton,
+        *,
+        up: str = "y",
+        root_relative: bool = False,
+        rules: WindowRules | None = None,
+        spec: MotionSpec | None = None,
+    ) -> None:
+        self.rules = rules or WindowRules()
+        self.spec = spec or MotionSpec()
+        self._joints = len(skeleton.joints)
+        self._root_relative = root_relative or skeleton.root_relative
+        self._history = History(skeleton, up=up, rules=self.rules)
+        self._grid = -np.arange(self.spec.observe - 1, -1, -1) / self.spec.rate_hz
+        self._steps: deque[float] = deque(maxlen=_STEPS)
+        self._last_t: float | None = None
+        self.clear()
+
+    def clear(self, reason: WaitReason = "warm_up") -> None:
+        """Forget the person, for instance after a jump of the frame of reference."""
+        self._history.clear()
+        self._reason = reason
+        self._unsure = False
+        self._identical = 0
+        self._raw: bytes | None = None
+
+    @property
+    def time_unit_is_wrong(self) -> bool:
+        """Whether the last steps of `t` cannot be seconds of a sensor."""
+        if len(self._steps) < ENOUGH_STEPS:
+            return False
+        return not self.rules.step_min_s <= median(self._steps) <= self.rules.step_max_s
+
+    def push(
+        self,
+        t: float,
+        joints: Float[np.ndarray, "joint 3"] | None,
+        confidence: Float[np.ndarray, " joint"] | None = None,
+    ) -> Restart | None:
+        """Take one frame.
+
+        Args:
+            t: capture time in seconds on the client's clock.
+            joints: metres, in the user's skeleton and frame; NaN for a missing joint; None for a
+                frame without the person.
+            confidence: 0 … 1 per joint.
+
+        Returns:
+            Why everything before this frame was forgotten, None if it was not.
+
+        Raises:
+            BadFrameError: and its kinds; the frame is then as if it had never come.
+        """
+        known = self._check(t, joints, confidence)
+        restart = self._advance(t)
+        if joints is None or not known.any():
+            self._history.lost = True
+            return restart
+        raw = joints.tobytes()
+        self._identical = self._identical + 1 if raw == self._raw else 1
+        self._raw = raw
+        self._unsure = confidence is not None and bool(
+            (confidence < self.rules.unsure_below).mean() >= self.rules.unsure_share
+        )
+        if self._history.add(t, joints, known):
+            self._reason = "person_lost"
+        return restart
+
+    def look(self, *, whole: bool = False) -> WindowReady | Waiting:
+        """Give the window that ends at the newest frame, or why there is none.
+
+        Args:
+            whole: nothing was before and nothing comes after (a single request).
+        """
+        history, need_s = self._history, self.rules.complete_s
+        if history.lost:
+            return Waiting("person_lost", history.span_s, need_s)
+        if history.span_s < need_s - SNAP_S:
+            return Waiting(self._reason, history.span_s, need_s)
+        window = history.to_net(self._interpolate())
+        filled = history.list_filled(since_s=-float(self._grid[0]))
+        return WindowReady(
+            window=window,
+            last_joints=history.poses[-1].copy(),
+            t=float(history.times[-1]),
+            flags=self._list_flags(window, filled=bool(filled), whole=whole),
+            filled=filled,
+        )
+
+    def _check(
+        self,
+        t: float,
+        joints: Float[np.ndarray, "joint 3"] | None,
+        confidence: Float[np.ndarray, " joint"] | None,
+    ) -> Bool[np.ndarray, " joint"]:
+        """Refuse a frame before it has changed anything; tell which joints it knows."""
+        if not math.isfinite(t):
+            raise BadFrameError("t must be a finite number of seconds.")
+        if self._last_t is not None and -self.rules.restart_s <= t - self._last_t <= 0:
+            raise TimeNotIncreasingError(f"t must be above {self._last_t!r}, got {t!r}.")
+        if confidence is not None:
+            check_confidence(confidence, self._joints)
+        if joints is None:
+            return np.zeros(self._joints, dtype=bool)
+        check_joints(joints, self._joints, coordinate_max_m=self.rules.coordinate_max_m)
+        known: Bool[np.ndarray, " joint"] = ~np.isnan(joints).any(axis=1)
+        if confidence is not None:
+            known &= confidence >= self.rules.confidence_min
+        return known
+
+    def _advance(self, t: float) -> Restart | None:
+        """Move the clock on; forget what lies before a restart or a gap."""
+        step = 0.0 if self._last_t is None else t - self._last_t
+        self._last_t = t
+        if step > 0:
+            self._steps.append(step)
+        if step < 0:
+            self.clear("clock_restart")
+            return "clock_restart"
+        if step > self.rules.gap_s + SNAP_S:
+            self.clear("gap")
+            return "gap"
+        history = self._history
+        if len(history) and t - history.times[-1] > self.rules.gap_s + SNAP_S:
+            self.clear("person_lost")  # frames came, but nobody was in them
+        return None
+
+    def _interpolate(self) -> Float[np.ndarray, "15 joint 3"]:
+        times, poses = self._history.times, self._history.poses
+        ago = times - times[-1]
+        left = np.searchsorted(ago, self._grid + SNAP_S, side="right") - 1
+        left = np.clip(left, 0, len(ago) - 1)
+        right = np.minimum(left + 1, len(ago) - 1)
+        past = self._grid - ago[left]
+        step = np.where(right > left, ago[right] - ago[left], 1.0)
+        share = np.where(past > SNAP_S, past / step, 0.0)[:, None, None]
+        return np.asarray(poses[left] + share * (poses[right] - poses[left]))
+
+    def _list_flags(
+        self, window: Float[np.ndarray, "15 20 3"], *, filled: bool, whole: bool
+    ) -> tuple[str, ...]:
+        rules, times = self.rules.guard, self._history.times
+        oldest = int(np.searchsorted(times, times[-1] + self._grid[0] + SNAP_S, side="right")) - 1
+        within = times[max(oldest, 0) :]  # from the last frame at or before the window's start
+        flags = {
+            "filled_joints": filled,
+            "low_confidence": self._unsure,
+            "gap": bool((np.diff(within) > self.rules.neighbour_max_s + SNAP_S).any()),
+            "frozen_input": self._identical >= rules.frozen_poses,
+            "implausible_pose": guard.moves_impossibly(
+                window, rate_hz=self.spec.rate_hz, rules=rules
+            ),
+            "root_relative": self._root_relative,
+        }
+        body = guard.judge_body(self._history.facts, times, rules=rules, whole=whole)
+        return tuple(dict.fromkeys([*(flag for flag in flags if flags[flag]), *body]))
+
+
+def assemble(
+    frames: Float[np.ndarray, "time joint 3"],
+    t: Float[np.ndarray, " time"] | None,
+    confidence: Float[np.ndarray, "time joint"] | None,
+    *,
+    skeleton: Skeleton,
+    up: str,
+    root_relative: bool = False,
+    rules: WindowRules | None = None,
+    spec: MotionSpec | None = None,
+) -> WindowReady:
+    """Make the window of a single request.
+
+    Args:
+        frames: metres, NaN for a missing joint.
+        t: seconds, strictly increasing; without it the frames are 30 Hz and the newest is at 0.
+        confidence: 0 … 1 per joint.
+        skeleton: the user's format.
+        up: the user's up axis.
+        root_relative: whether the user's sensor has no global position.
+        rules: what counts as a window.
+        spec: shape of the task.
+
+    Raises:
+        BadFrameError: and its kinds.
+        NoForecastError: and its kinds, where the frames are good but not enough.
+    """
+    buffer = FrameBuffer(skeleton, up=up, root_relative=root_relative, rules=rules, spec=spec)
+    if len(frames) == 0:
+        raise TooLittleHistoryError("There are no frames.")
+    if t is None:
+        t = -np.arange(len(frames) - 1, -1, -1) / buffer.spec.rate_hz
+    check_times(t, len(frames), buffer.rules)
+    joints, limit = len(skeleton.joints), buffer.rules.coordinate_max_m
+    check_joints(frames, joints, coordinate_max_m=limit)
+    if confidence is not None:
+        if len(confidence) != len(frames):
+            raise BadFrameError(f"{len(confidence)} confidences for {len(frames)} frames.")
+        check_confidence(confidence, joints)
+    for i in range(max(0, len(frames) - CAPACITY), len(frames)):
+        buffer.push(float(t[i]), frames[i], None if confidence is None else confidence[i])
+    outcome = buffer.look(whole=True)
+    if isinstance(outcome, Waiting):
+        raise _explain(outcome)
+    return outcome
+
+
+def _explain(waiting: Waiting) -> NoForecastError:
+    have = f"{waiting.have_s:.3f} s of {waiting.need_s:g} s are there."
+    if waiting.reason == "person_lost":
+        return PersonLostError("The newest frame lacks the hip centre or over half of the joints.")
+    if waiting.reason == "gap":
+        return GapInHistoryError(f"After the gap, {have}")
+    return TooLittleHistoryError(f"The frames must span {waiting.need_s:g} s; {have}")
