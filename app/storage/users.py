@@ -1,0 +1,121 @@
+"""Users: the row that everything else of a person hangs on."""
+
+from uuid import UUID
+
+from sqlalchemy import delete, select, update
+from sqlalchemy.exc import IntegrityError
+from sqlalchemy.ext.asyncio import AsyncSession
+
+from app.domain.errors import UnknownUserError, UserExistsError
+from app.domain.events import Action
+from app.domain.pagination import Cursor, Page
+from app.domain.users import UpAxis, User, pseudonym
+from app.storage import audit
+from app.storage.paging import page_query
+from app.storage.tables import UserRow
+
+
+async def create(
+    tx: AsyncSession,
+    *,
+    user_id: str,
+    skeleton: str,
+    up: UpAxis,
+    root_relative: bool,
+    display_name: str | None,
+    actor: UUID | None,
+) -> User:
+    """Add a user.
+
+    Raises:
+        UserExistsError: the id is taken.
+    """
+    row = UserRow(
+        id=user_id,
+        skeleton=skeleton,
+        up=up,
+        root_relative=root_relative,
+        display_name=display_name,
+    )
+    tx.add(row)
+    try:
+        await tx.flush()
+    except IntegrityError:
+        raise UserExistsError(f"There is a user {user_id} already.") from None
+    audit.record(tx, Action.USER_CREATED, actor=actor, user_uuid=row.uuid)
+    return _to_user(row)
+
+
+async def get(tx: AsyncSession, user_id: str) -> User:
+    """Find a user by id.
+
+    Raises:
+        UnknownUserError: there is none.
+    """
+    return _to_user(await _find(tx, user_id))
+
+
+async def list_page(tx: AsyncSession, *, after: Cursor | None, limit: int) -> Page[User]:
+    """List users, newest first."""
+    query = page_query(
+        select(UserRow), order=(UserRow.created_at, UserRow.uuid), after=after, limit=limit
+    )
+    rows = list(await tx.scalars(query))
+    last = rows[limit - 1] if len(rows) > limit else None
+    return Page(
+        items=[_to_user(row) for row in rows[:limit]],
+        next_cursor=None if last is None else Cursor(last.created_at, last.uuid).encode(),
+    )
+
+
+async def rename(
+    tx: AsyncSession, user_id: str, *, display_name: str | None, actor: UUID | None
+) -> User:
+    """Change the name that people see.
+
+    Raises:
+        UnknownUserError: there is no such user.
+    """
+    change = update(UserRow).where(UserRow.id == user_id).values(display_name=display_name)
+    row = await tx.scalar(change.returning(UserRow))
+    if row is None:
+        raise UnknownUserError(f"There is no user {user_id}.")
+    audit.record(tx, Action.USER_CHANGED, actor=actor, user_uuid=row.uuid)
+    return _to_user(row)
+
+
+async def erase(tx: AsyncSession, user_id: str, *, actor: UUID | None, audit_key: bytes) -> None:
+    """Delete a user and every row of theirs; of the id, only a pseudonym stays in the log.
+
+    Raises:
+        UnknownUserError: there is no such user.
+    """
+    gone = await tx.scalar(
+        delete(UserRow).where(UserRow.id == user_id).returning(UserRow.uuid)
+    )  # the rows that hang on it go by the foreign keys
+    if gone is None:
+        raise UnknownUserError(f"There is no user {user_id}.")
+    subject = pseudonym(user_id, key=audit_key)
+    audit.record(tx, Action.USER_DELETED, actor=actor, subject=subject)
+
+
+async def _find(tx: AsyncSession, user_id: str) -> UserRow:
+    row = await tx.scalar(select(UserRow).where(UserRow.id == user_id))
+    if row is None:
+        raise UnknownUserError(f"There is no user {user_id}.")
+    return row
+
+
+def _to_user(row: UserRow) -> User:
+    return User(
+        uuid=row.uuid,
+        id=row.id,
+        skeleton=row.skeleton,
+        up=_UP[row.up],
+        root_relative=row.root_relative,
+        display_name=row.display_name,
+        created_at=row.created_at,
+    )
+
+
+_UP: dict[str, UpAxis] = {"y": "y", "-y": "-y", "z": "z"}
