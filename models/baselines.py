@@ -21,12 +21,13 @@ from models.data.windows import Windows
 from models.skeleton import HIP_CENTER
 
 DECAY = 0.6
-"""Share of its velocity that a damped person keeps from frame to frame: on UTD-MHAD's subjects 1, 3,
-5, 7 the best up to frame 10, and within 0.3 % of the best at frame 15. From 0.8 on it is worse than
-zero velocity there."""
+"""Share of its velocity that a damped person keeps from frame to frame: on UTD-MHAD's subjects
+1, 3, 5, 7 the best up to frame 10, and within 0.3 % of the best at frame 15. From 0.8 on it is
+worse than zero velocity there."""
 STRENGTHS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
 ADAPTATIONS = (1.0, 3.0, 10.0, 30.0, 100.0)
 _CHUNK = 2048
+_TINY = 1e-12
 
 
 class Forecaster(Protocol):
@@ -87,9 +88,8 @@ class _Moments:
 
     xx: Float64[Tensor, "feature feature"]
     xy: Float64[Tensor, "feature target"]
-    yy: float
+    yy: Float64[Tensor, " horizon"]
     windows: int
-    targets: int
 
     def __add__(self, other: "_Moments") -> "_Moments":
         return _Moments(
@@ -97,13 +97,16 @@ class _Moments:
             xy=self.xy + other.xy,
             yy=self.yy + other.yy,
             windows=self.windows + other.windows,
-            targets=self.targets,
         )
 
-    def mean_squared_error(self, weights: Float64[Tensor, "feature target"]) -> float:
-        """Error of the weights on these windows, in m² per coordinate, without the windows."""
-        fitted = (weights * (self.xx @ weights - 2 * self.xy)).sum()
-        return (float(fitted) + self.yy) / (self.windows * self.targets)
+    def compare_to_zero_velocity(self, weights: Float64[Tensor, "feature target"]) -> float:
+        """Mean over frames of the squared error ÷ zero velocity's, without the windows.
+
+        Plain squared error would choose by the last frames alone, which are the hardest.
+        """
+        fitted = (weights * (self.xx @ weights - 2 * self.xy)).sum(0)
+        errors = fitted.reshape(len(self.yy), -1).sum(1) + self.yy
+        return float((errors / self.yy.clamp_min(_TINY)).mean())
 
 
 _People = dict[tuple[str, str], dict[str, _Moments]]
@@ -221,7 +224,7 @@ def _measure(
     features, targets = observed[0].size + 1, future[0].size
     xx = torch.zeros(features, features, dtype=torch.float64)
     xy = torch.zeros(features, targets, dtype=torch.float64)
-    yy = 0.0
+    yy = torch.zeros(future.shape[1], dtype=torch.float64)
     for start in range(0, len(observed), _CHUNK):
         window = torch.from_numpy(observed[start : start + _CHUNK])
         truth = torch.from_numpy(future[start : start + _CHUNK])
@@ -229,8 +232,8 @@ def _measure(
         y = (truth.double() - window[:, -1:].double()).flatten(1)
         xx.addmm_(x.T, x)
         xy.addmm_(x.T, y)
-        yy += float(y.square().sum())
-    return _Moments(xx=xx, xy=xy, yy=yy, windows=len(observed), targets=targets)
+        yy += y.square().reshape(len(y), len(yy), -1).sum((0, 2))
+    return _Moments(xx=xx, xy=xy, yy=yy, windows=len(observed))
 
 
 def _gather_moments(windows: Windows, clips: Sequence[Clip], personal_trial: str) -> _People:
@@ -264,7 +267,7 @@ def _choose_strength(people: _People, strengths: Sequence[float]) -> float:
     for person, parts in people.items():
         solver = _Solver(_leave_out(people, person))
         own = _add([parts])
-        errors += [own.mean_squared_error(solver.solve_base(choice)) for choice in strengths]
+        errors += [own.compare_to_zero_velocity(solver.solve_base(choice)) for choice in strengths]
     return strengths[int(errors.argmin())]
 
 
@@ -278,7 +281,7 @@ def _choose_adaptation(people: _People, strength: float, adaptations: Sequence[f
             prior = _Solver(_leave_out(people, person)).solve_base(strength)
             solver = _Solver(parts["personal"])
             errors += [
-                parts["others"].mean_squared_error(solver.solve(choice, prior=prior))
+                parts["others"].compare_to_zero_velocity(solver.solve(choice, prior=prior))
                 for choice in adaptations
             ]
     return adaptations[int(errors.argmin())]
