@@ -1,0 +1,142 @@
+"""Weights as safetensors with readable metadata; nothing here can run code from a file."""
+
+import hashlib
+import json
+import os
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import safetensors
+import torch
+from safetensors.torch import load as load_tensors
+from safetensors.torch import save as save_tensors
+from torch import Tensor
+
+from models.predictor import NetConfig, Predictor
+from models.skeleton import KINECT_V1
+from models.spec import MotionSpec
+from models.uncertainty import RadiusTable
+
+FORMAT = "kinecast-base-1"
+SHIPPED = Path(__file__).parent / "pretrained" / "base.safetensors"
+_NET, _RADIUS = "net.", "radius"
+
+
+class CheckpointError(ValueError):
+    """A file that is no checkpoint of ours, or not one that this version can read."""
+
+
+@dataclass(frozen=True, slots=True)
+class Checkpoint:
+    """A loaded base model.
+
+    Attributes:
+        predictor: the net, in evaluation mode.
+        metadata: spec, sizes, skeleton, data hash, command, commit, scores (see docs/model.md).
+        sha256: of the whole file; names these weights everywhere.
+        radius: calibrated radius per frame and joint, if the file holds one.
+    """
+
+    predictor: Predictor
+    metadata: dict[str, Any]
+    sha256: str
+    radius: RadiusTable | None
+
+
+def dump_checkpoint(
+    predictor: Predictor, metadata: dict[str, Any], radius: RadiusTable | None = None
+) -> bytes:
+    """Serialise a net with its metadata; the same input gives the same bytes."""
+    tensors = {_NET + name: t.contiguous() for name, t in predictor.state_dict().items()}
+    described = {"format": FORMAT, "skeleton": list(KINECT_V1.joints), **predictor.describe()}
+    described |= metadata
+    if radius is not None:
+        tensors[_RADIUS] = torch.from_numpy(radius.table).contiguous()
+        described["radius"] = radius.describe()
+    return save_tensors(tensors, metadata={"kinecast": json.dumps(described, sort_keys=True)})
+
+
+def save_checkpoint(
+    path: Path,
+    predictor: Predictor,
+    metadata: dict[str, Any],
+    radius: RadiusTable | None = None,
+) -> str:
+    """Write a checkpoint atomically and give its sha256."""
+    return write_atomically(path, dump_checkpoint(predictor, metadata, radius))
+
+
+def write_atomically(path: Path, blob: bytes) -> str:
+    """Replace a file by whole new content, so that a kill leaves the old or the new one."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draft = path.with_name(path.name + ".part")
+    with draft.open("wb") as file:
+        file.write(blob)
+        file.flush()
+        os.fsync(file.fileno())
+    draft.replace(path)
+    return hashlib.sha256(blob).hexdigest()
+
+
+def load_checkpoint(source: Path | bytes) -> Checkpoint:
+    """Read a checkpoint from a file or from its bytes.
+
+    Raises:
+        CheckpointError: not safetensors, not our format, or another skeleton or shape.
+        OSError: the file cannot be read.
+    """
+    blob = source if isinstance(source, bytes) else source.read_bytes()
+    metadata, tensors = parse_blob(blob)
+    predictor = _build(metadata)
+    state = {name.removeprefix(_NET): t for name, t in tensors.items() if name.startswith(_NET)}
+    try:
+        predictor.load_state_dict(state)
+    except RuntimeError as error:
+        raise CheckpointError(
+            f"the weights do not fit the net they claim to be: {error}"
+        ) from error
+    predictor.eval().requires_grad_(requires_grad=False)
+    radius = None
+    if _RADIUS in tensors:
+        radius = RadiusTable.restore(tensors[_RADIUS].numpy(), metadata["radius"])
+    return Checkpoint(predictor, metadata, hashlib.sha256(blob).hexdigest(), radius)
+
+
+def write_state(path: Path, tensors: dict[str, Tensor], meta: dict[str, Any]) -> None:
+    """Save the state of a training run atomically (same container as a checkpoint)."""
+    whole = {name: tensor.detach().cpu().contiguous().clone() for name, tensor in tensors.items()}
+    write_atomically(path, save_tensors(whole, metadata={"kinecast": json.dumps(meta)}))
+
+
+def parse_state(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
+    """Read a state written by `write_state`."""
+    return parse_blob(path.read_bytes())
+
+
+def parse_blob(blob: bytes) -> tuple[dict[str, Any], dict[str, Tensor]]:
+    """Split a safetensors blob into our metadata and its tensors."""
+    try:
+        tensors = load_tensors(blob)
+        header = json.loads(blob[8 : 8 + int.from_bytes(blob[:8], "little")])
+        metadata: dict[str, Any] = json.loads(header["__metadata__"]["kinecast"])
+    except (
+        safetensors.SafetensorError,
+        KeyError,
+        UnicodeDecodeError,
+        json.JSONDecodeError,
+    ) as error:
+        raise CheckpointError(f"not a Kinecast checkpoint: {error}") from error
+    return metadata, tensors
+
+
+def _build(metadata: dict[str, Any]) -> Predictor:
+    if metadata.get("format") != FORMAT:
+        raise CheckpointError(f"format {metadata.get('format')!r} is not {FORMAT!r}")
+    if metadata.get("skeleton") != list(KINECT_V1.joints):
+        raise CheckpointError("the checkpoint was trained on another skeleton")
+    known = {field.name for field in fields(NetConfig)}
+    unknown = set(metadata["config"]) - known
+    if unknown:
+        raise CheckpointError(f"sizes unknown to this version: {sorted(unknown)}")
+    return Predictor(MotionSpec(**metadata["spec"]), NetConfig(**metadata["config"]))

@@ -1,0 +1,121 @@
+"""Augmentation on the fly: other bodies, other rooms, other sensors, other tempos.
+
+Everything works on a batch of whole windows (observed and future frames together) in metres, y up,
+so that a window and its truth change alike; only sensor noise touches the observed part alone.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from models.skeleton import HIP_CENTER, KINECT_V1, topological_levels
+
+
+@dataclass(frozen=True, slots=True)
+class Augmentation:
+    """How far each augmentation goes; 0 switches one off.
+
+    Attributes:
+        mirror: probability of swapping the sides of the body (x -> -x and left <-> right).
+        yaw_rad: heading, uniform within plus or minus this.
+        tilt_rad: tilt of the sensor about a random horizontal axis, normal with this deviation.
+        scale: size of the person, uniform within 1 plus or minus this.
+        bones: length of each bone (left and right alike), uniform within 1 plus or minus this.
+        offset_m: constant offset of each joint, as between two makes of sensor, deviation.
+        noise_m: white noise on observed joints, deviation; a third of the windows get it.
+        still: probability of a person who holds still (with noise on the observed frames).
+        tempo: speed of the motion, uniform within 1 plus or minus this, where the clip is long
+            enough (applied when the window is cut).
+        reverse: probability of playing the window backwards.
+    """
+
+    mirror: float = 0.5
+    yaw_rad: float = 0.1
+    tilt_rad: float = 0.06
+    scale: float = 0.1
+    bones: float = 0.06
+    offset_m: float = 0.006
+    noise_m: float = 0.003
+    still: float = 0.01
+    tempo: float = 0.15
+    reverse: float = 0.0
+
+
+def augment(
+    windows: Float[Tensor, "batch time joint 3"], config: Augmentation, *, observe: int
+) -> Float[Tensor, "batch time joint 3"]:
+    """Apply every augmentation with fresh random numbers of torch's global generator."""
+    windows = _reverse(windows, config.reverse)
+    windows = mirror(windows, chosen=_coin(windows, config.mirror))
+    windows = _resize(windows, config)
+    windows = _turn(windows, config)
+    offset = torch.randn(len(windows), 1, windows.shape[2], 3, device=windows.device)
+    windows = windows + config.offset_m * offset
+    windows = torch.where(_coin(windows, config.still), windows[:, :1], windows)
+    return _shake(windows, config, observe=observe)
+
+
+def mirror(
+    windows: Float[Tensor, "batch time joint 3"], *, chosen: Tensor | None = None
+) -> Float[Tensor, "batch time joint 3"]:
+    """Mirror the body: x -> -x *and* left joints <-> right joints (both, or it is no body)."""
+    flipped = windows[:, :, list(KINECT_V1.mirror)] * windows.new_tensor([-1.0, 1.0, 1.0])
+    return flipped if chosen is None else torch.where(chosen, flipped, windows)
+
+
+def _coin(windows: Tensor, probability: float) -> Tensor:
+    return torch.rand(len(windows), 1, 1, 1, device=windows.device) < probability
+
+
+def _spread(count: int, around: float, device: torch.device) -> Tensor:
+    return 1 + around * (2 * torch.rand(count, device=device) - 1)
+
+
+def _reverse(windows: Tensor, probability: float) -> Tensor:
+    if probability == 0.0:
+        return windows
+    return torch.where(_coin(windows, probability), windows.flip(1), windows)
+
+
+def _resize(windows: Tensor, config: Augmentation) -> Tensor:
+    """Rebuild the body from the hip centre outwards with other bone lengths."""
+    parents = torch.tensor(KINECT_V1.parents, device=windows.device)
+    pairs = torch.tensor(KINECT_V1.mirror, device=windows.device)
+    joints = torch.arange(len(parents), device=windows.device)
+    bone = 1 + config.bones * (
+        2 * torch.rand(len(windows), len(parents), device=windows.device) - 1
+    )
+    bone = bone[:, torch.minimum(joints, pairs)]  # both sides alike
+    bone = bone * _spread(len(windows), config.scale, windows.device)[:, None]
+    vectors = (windows - windows[:, :, parents.clamp(min=0)]) * bone[:, None, :, None]
+    built = torch.zeros_like(windows)
+    built[:, :, HIP_CENTER] = windows[:, :, HIP_CENTER]
+    for level in topological_levels(KINECT_V1.parents)[1:]:
+        joint = torch.tensor(level, device=windows.device)
+        built[:, :, joint] = built[:, :, parents[joint]] + vectors[:, :, joint]
+    return built
+
+
+def _turn(windows: Tensor, config: Augmentation) -> Tensor:
+    """Heading about y, then a tilt about a horizontal axis, both about the first hip centre."""
+    count, device = len(windows), windows.device
+    yaw = config.yaw_rad * (2 * torch.rand(count, device=device) - 1)
+    tilt = config.tilt_rad * torch.randn(2, count, device=device)
+    skew = torch.zeros(count, 3, 3, device=device)
+    skew[:, 0, 2], skew[:, 2, 0] = yaw, -yaw
+    skew[:, 1, 2], skew[:, 2, 1] = -tilt[0], tilt[0]
+    skew[:, 0, 1], skew[:, 1, 0] = -tilt[1], tilt[1]
+    rotation = torch.linalg.matrix_exp(skew)
+    centre = windows[:, :1, HIP_CENTER : HIP_CENTER + 1]
+    turned: Tensor = (windows - centre) @ rotation.transpose(1, 2)[:, None]
+    return turned + centre
+
+
+def _shake(windows: Tensor, config: Augmentation, *, observe: int) -> Tensor:
+    noise = config.noise_m * torch.randn_like(windows[:, :observe])
+    noisy = _coin(windows, 1 / 3)
+    shaken = windows.clone()
+    shaken[:, :observe] += torch.where(noisy, noise, torch.zeros_like(noise))
+    return shaken

@@ -1,0 +1,144 @@
+"""The table of the pinned protocol: every method on every subject, in one run."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import torch
+
+from models.baselines import DampedVelocity, Forecaster, Ridge, ZeroVelocity
+from models.data.clips import Clip, data_hash
+from models.data.splits import PERSONAL_TRIAL, TRAIN_SUBJECTS, select
+from models.data.windows import Windows, cut_windows
+from models.metrics import FRAMES, Scores, evaluate_forecasts
+from models.spec import MotionSpec
+
+EVERYBODY = "all"
+_BATCH = 512
+_SPEC = MotionSpec()
+
+PUBLISHED: dict[tuple[str, str], tuple[float, ...]] = {
+    ("paper: zero velocity", "2"): (11.20, 27.37, 66.85, 86.23, 112.39, 127.64),
+    ("paper: zero velocity", "4"): (13.11, 32.33, 77.22, 97.80, 123.99, 138.53),
+    ("paper: zero velocity", "6"): (10.37, 25.56, 64.62, 85.29, 115.33, 135.17),
+    ("paper: before personalisation", "2"): (5.41, 14.75, 33.87, 41.89, 51.33, 56.12),
+    ("paper: before personalisation", "4"): (7.78, 18.26, 41.66, 51.46, 62.67, 68.10),
+    ("paper: before personalisation", "6"): (6.99, 16.18, 38.51, 49.40, 63.70, 71.68),
+    ("paper: after personalisation", "2"): (7.62, 16.17, 32.35, 38.63, 45.72, 49.13),
+    ("paper: after personalisation", "4"): (6.98, 14.79, 30.29, 36.51, 43.81, 47.61),
+    ("paper: after personalisation", "6"): (6.51, 13.44, 27.49, 33.66, 41.74, 46.41),
+}
+"""The rows of the paper's table (cm², cumulative), to be read beside ours."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One line of the table: a method on a subject."""
+
+    method: str
+    subject: str
+    windows: int
+    clips: int
+    scores: Scores
+
+    def as_json(self) -> dict[str, Any]:
+        """Give the row as the command line writes it."""
+        return {
+            "method": self.method,
+            "subject": self.subject,
+            "windows": self.windows,
+            "clips": self.clips,
+            **asdict(self.scores),
+        }
+
+
+def evaluate(
+    forecasters: dict[str, Forecaster], clips: Sequence[Clip], *, by_subject: bool
+) -> list[Row]:
+    """Score every forecaster on the same windows, zero velocity always among them.
+
+    Args:
+        forecasters: by the method's name; each sees the windows alone.
+        clips: the test clips, cut at stride 1.
+        by_subject: one row per subject, or one over everybody.
+
+    Raises:
+        ValueError: no clip is as long as a window.
+    """
+    methods = {"zero_velocity": ZeroVelocity(_SPEC.horizon), **forecasters}
+    groups = group_by_subject(clips) if by_subject else {EVERYBODY: list(clips)}
+    rows = []
+    for subject, own in groups.items():
+        windows = cut_windows(own, _SPEC)
+        if not len(windows):
+            raise ValueError(f"subject {subject}: no clip is {_SPEC.frames} frames long")
+        for name, forecaster in methods.items():
+            scores = score_forecaster(forecaster, windows)
+            rows.append(Row(name, subject, len(windows), len(own), scores))
+    return rows
+
+
+def evaluate_ridge(
+    training: Sequence[Clip], everybody: Sequence[Clip], test: Sequence[Clip]
+) -> list[Row]:
+    """Rows of the ridge, and of its closed-form personal twin where a subject has the trial for it.
+
+    Args:
+        training: clips that the ridge is fitted on; its strengths are chosen by leaving their
+            people out.
+        everybody: clips in which the personal trial is looked for.
+        test: the test clips.
+    """
+    ridge = Ridge.fit(cut_windows(training, _SPEC), clips=training)
+    rows = []
+    for subject, own in group_by_subject(test).items():
+        methods: dict[str, Forecaster] = {"ridge": ridge}
+        trial = select(everybody, subjects=[subject], trials=[PERSONAL_TRIAL])
+        if trial and all(clip.trial != PERSONAL_TRIAL for clip in own):
+            methods["ridge_personal"] = ridge.personalize(cut_windows(trial, _SPEC))
+        rows += [row for row in evaluate(methods, own, by_subject=True) if row.method in methods]
+    return rows
+
+
+def training_clips(clips: Iterable[Clip]) -> list[Clip]:
+    """Keep the clips of the subjects on which bases and baselines are fitted."""
+    return select(clips, subjects=TRAIN_SUBJECTS)
+
+
+def simple_baselines() -> dict[str, Forecaster]:
+    """Baselines that need no fitting."""
+    return {"damped_velocity": DampedVelocity(_SPEC.horizon)}
+
+
+@torch.inference_mode()
+def score_forecaster(forecaster: Forecaster, windows: Windows) -> Scores:
+    """Score one forecaster by the pinned protocol."""
+    observed = torch.as_tensor(windows.observed)
+    forecast = torch.cat([forecaster(part) for part in observed.split(_BATCH)])
+    return evaluate_forecasts(forecast.numpy(), windows.future)
+
+
+def describe_protocol(clips: Sequence[Clip], *, model: dict[str, Any] | None) -> dict[str, Any]:
+    """Say what the figures mean and what they were measured on."""
+    return {
+        "observe": _SPEC.observe,
+        "horizon": _SPEC.horizon,
+        "rate_hz": _SPEC.rate_hz,
+        "stride": 1,
+        "frames": list(FRAMES),
+        "mse_cm2": "mean over windows, joints, coordinates and frames 1..k of the squared error",
+        "mse_cm2_at": "the same at frame k alone",
+        "mpjpe_mm": "mean distance per joint at frame k",
+        "coordinates": "absolute, no alignment, all joints",
+        "trials": sorted({clip.trial for clip in clips}),
+        "data_sha256": data_hash(clips),
+        "model": model,
+    }
+
+
+def group_by_subject(clips: Sequence[Clip]) -> dict[str, list[Clip]]:
+    """Clips of each subject, in the order in which subjects first appear."""
+    groups: dict[str, list[Clip]] = {}
+    for clip in clips:
+        groups.setdefault(clip.subject, []).append(clip)
+    return groups

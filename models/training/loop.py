@@ -1,0 +1,218 @@
+"""One training run as an object: step, evaluate, save, resume.
+
+The whole state (weights, their average, both optimisers, random numbers, step) goes into one
+safetensors file, so a run that was killed goes on to the very result of an unbroken one.
+"""
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from models.checkpoint import parse_state, write_state
+from models.data.augment import augment
+from models.latent import Adversary
+from models.losses import reconstruction_loss
+from models.predictor import Predictor
+from models.training.config import PretrainConfig
+from models.training.sampler import WindowSampler
+
+_GRADIENT_NORM_OF_ADVERSARY = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """What a progress bar shows. `validation` is in cm², cumulative at the last frame."""
+
+    step: int
+    steps: int
+    loss: float
+    adversary: float
+    validation: float | None
+    seconds: float
+
+
+class Trainer:
+    """Phase 1 of the paper: reconstruction and the adversarial game, with averaged weights."""
+
+    def __init__(
+        self, config: PretrainConfig, sampler: WindowSampler, *, device: torch.device
+    ) -> None:
+        torch.manual_seed(config.seed)
+        self.config = config
+        self.sampler = sampler
+        self.device = device
+        self.net = Predictor(config=config.net)
+        self.net.normalizer.fit(self._observed(_fitting_windows(sampler, config)))
+        self.net.to(device)
+        self.average = Predictor(config=config.net).to(device)
+        self.average.load_state_dict(self.net.state_dict())
+        self.adversary = Adversary(
+            continuous=config.net.continuous,
+            categories=config.net.categories,
+            hidden=config.adversary_hidden,
+        ).to(device)
+        self.optimizer = torch.optim.AdamW(
+            self.net.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
+        )
+        self.adversary_optimizer = torch.optim.Adam(
+            self.adversary.parameters(), lr=config.adversary_rate, betas=(0.5, 0.999)
+        )
+        self.step = 0
+        torch.manual_seed(config.seed + 1)
+
+    def run_step(self) -> tuple[float, float]:
+        """Take one optimisation step; give the reconstruction's and the discriminators' loss."""
+        self.net.train()
+        spec = self.net.spec
+        windows = augment(self.sampler.draw(), self.config.augmentation, observe=spec.observe)
+        observed, future = windows[:, : spec.observe], windows[:, spec.observe :]
+        encoded = self.net.encode(observed)
+        loss = reconstruction_loss(self.net.decode(encoded, observed), future)
+        weight = self.config.adversarial_weight_at(self.step)
+        total = loss
+        if weight > 0:
+            total = loss + weight * self.adversary.encoder_loss(encoded.z, encoded.c)
+        self._descend(total)
+        fooled = self._train_adversary(encoded.z, encoded.c) if weight > 0 else 0.0
+        self.step += 1
+        return float(loss.detach()), fooled
+
+    def _descend(self, loss: Float[Tensor, ""]) -> None:
+        for group in self.optimizer.param_groups:
+            group["lr"] = self.config.rate_at(self.step)
+        self.optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        nn.utils.clip_grad_norm_(self.net.parameters(), self.config.clip)
+        self.optimizer.step()
+        keep = min(self.config.average, (1 + self.step) / (10 + self.step))
+        pairs = zip(self.average.parameters(), self.net.parameters(), strict=True)
+        with torch.no_grad():
+            for averaged, current in pairs:
+                averaged.lerp_(current, 1 - keep)
+
+    def _train_adversary(self, z: Tensor, c: Tensor) -> float:
+        loss = self.adversary.discriminator_loss(z, c)
+        self.adversary_optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        nn.utils.clip_grad_norm_(self.adversary.parameters(), _GRADIENT_NORM_OF_ADVERSARY)
+        self.adversary_optimizer.step()
+        return float(loss.detach())
+
+    def _observed(self, windows: Tensor) -> Tensor:
+        return windows[:, : self.net.spec.observe]
+
+    def save(self, path: Path, extra: dict[str, Any] | None = None) -> None:
+        """Write the whole state atomically; `extra` is given back by `restore`."""
+        tensors = {"random": torch.get_rng_state()}
+        for name, module in self._modules().items():
+            tensors |= {f"{name}.{key}": value for key, value in module.state_dict().items()}
+        for name, optimizer in self._optimizers().items():
+            tensors |= _optimizer_tensors(name, optimizer)
+        meta = {"step": self.step, "config": asdict(self.config), "extra": extra or {}}
+        write_state(path, tensors, meta)
+
+    def restore(self, path: Path) -> dict[str, Any]:
+        """Go on from a saved state; give back what was saved as `extra`.
+
+        Raises:
+            ValueError: the state belongs to a run with other settings.
+        """
+        meta, tensors = parse_state(path)
+        if meta["config"] != json.loads(json.dumps(asdict(self.config))):
+            raise ValueError(
+                f"{path} was left by a run with other settings; delete it to start over"
+            )
+        for name, module in self._modules().items():
+            module.load_state_dict(_under(tensors, name))
+        for name, optimizer in self._optimizers().items():
+            _restore_optimizer(optimizer, _under(tensors, name))
+        self.step = meta["step"]
+        torch.set_rng_state(tensors["random"])
+        extra: dict[str, Any] = meta["extra"]
+        return extra
+
+    def _modules(self) -> dict[str, nn.Module]:
+        return {"net": self.net, "average": self.average, "adversary": self.adversary}
+
+    def _optimizers(self) -> dict[str, torch.optim.Optimizer]:
+        return {"adamw": self.optimizer, "adam": self.adversary_optimizer}
+
+
+def train(
+    trainer: Trainer,
+    *,
+    validate: Callable[[Predictor], float | None],
+    report: Callable[[Progress], None],
+    state: Path | None = None,
+    save_seconds: float = 30.0,
+) -> Predictor:
+    """Run to the last step (or to the end of patience) and give the averaged net.
+
+    Args:
+        trainer: fresh, or left by an earlier run of which `state` is the file.
+        validate: error on people left out (cm²), or None where nobody was.
+        report: called every step.
+        state: file to save to now and then, and to resume from if it exists.
+        save_seconds: time between saves.
+    """
+    config = trainer.config
+    best: float | None = None
+    since = 0
+    if state is not None and state.exists():
+        extra = trainer.restore(state)
+        best, since = extra["best"], extra["since"]
+    began = saved = monotonic()
+    first = trainer.step
+    while trainer.step < config.steps:
+        loss, fooled = trainer.run_step()
+        due = trainer.step % config.evaluate_every == 0 or trainer.step == config.steps
+        score = validate(trainer.average) if due else None
+        if score is not None:
+            since = 0 if best is None or score < best else since + 1
+            best = score if best is None else min(best, score)
+        rate = (monotonic() - began) / (trainer.step - first)
+        left = rate * (config.steps - trainer.step)
+        report(Progress(trainer.step, config.steps, loss, fooled, score, left))
+        if state is not None and (monotonic() - saved > save_seconds or due):
+            trainer.save(state, {"best": best, "since": since})
+            saved = monotonic()
+        if config.patience is not None and since > config.patience:
+            break
+    return trainer.average.eval()
+
+
+def _fitting_windows(sampler: WindowSampler, config: PretrainConfig) -> Tensor:
+    return torch.cat(
+        [
+            augment(sampler.draw(), config.augmentation, observe=sampler.length).cpu()
+            for _ in range(8)
+        ]
+    )
+
+
+def _under(tensors: dict[str, Tensor], name: str) -> dict[str, Tensor]:
+    prefix = name + "."
+    return {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
+
+
+def _optimizer_tensors(name: str, optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:
+    state = optimizer.state_dict()["state"]
+    return {
+        f"{name}.{i}.{key}": value for i, entry in state.items() for key, value in entry.items()
+    }
+
+
+def _restore_optimizer(optimizer: torch.optim.Optimizer, tensors: dict[str, Tensor]) -> None:
+    state: dict[int, dict[str, Tensor]] = {}
+    for name, value in tensors.items():
+        index, key = name.split(".", 1)
+        state.setdefault(int(index), {})[key] = value
+    groups = optimizer.state_dict()["param_groups"]
+    optimizer.load_state_dict({"state": state, "param_groups": groups})
