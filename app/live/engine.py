@@ -1,0 +1,327 @@
+"""The one thread that computes forecasts, off the event loop.
+
+It takes whoever waits at once, never waits for a batch to fill, and leaves only the newest window
+of each stream in its slot. A window whose forecast fails or is impossible gets a flagged fallback;
+the others of its batch do not notice.
+"""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass
+
+import numpy as np
+import structlog
+import torch
+from jaxtyping import Float, Float32
+
+from app.domain.errors import DrainingError, OverloadedError
+from app.domain.motion import Fallback, Timing, VersionKind, VersionStamp
+from app.live.decoders import Decoders
+from app.live.guard import GuardRules, is_possible
+from app.live.telemetry import Telemetry
+from app.live.work import EngineRequest, EngineResult
+from models.baselines import DampedVelocity
+from models.spec import MotionSpec
+
+DEADLINE_MS = 33.0
+LOG_EVERY_S = 10.0
+NET_FAILURES = (
+    RuntimeError,
+    ValueError,
+    TypeError,
+    ArithmeticError,
+    LookupError,
+    AttributeError,
+    AssertionError,
+    MemoryError,
+)
+"""What a net, or the library under it, can raise."""
+
+Done = Callable[[EngineResult], None]
+log = structlog.get_logger(__name__)
+
+
+@dataclass(slots=True)
+class _Job:
+    """One window and who waits for it."""
+
+    request: EngineRequest
+    on_done: Done
+    since: float
+
+
+class Slot:
+    """The place of one stream in the engine: it holds the newest window only."""
+
+    def __init__(self, engine: "Engine") -> None:
+        self._engine = engine
+        self.job: _Job | None = None
+
+    def put(self, request: EngineRequest, on_done: Done) -> int:
+        """Leave a window; an older one that still waits is given up.
+
+        Args:
+            request: the window.
+            on_done: called with the forecast, on the engine's thread.
+
+        Returns:
+            How many windows were given up (0 or 1).
+        """
+        return self._engine.fill(self, request, on_done)
+
+    def close(self) -> None:
+        """Give up what waits."""
+        self._engine.empty(self)
+
+
+class Engine:
+    """The forecasting thread of a process.
+
+    Args:
+        decoders: the weights.
+        telemetry: where to count.
+        rules: what a forecast may look like.
+        batch: most windows of one batch.
+        queue: most single forecasts that may wait.
+        threads: threads of torch's arithmetic.
+        spec: shape of the task.
+    """
+
+    def __init__(
+        self,
+        decoders: Decoders,
+        *,
+        telemetry: Telemetry | None = None,
+        rules: GuardRules | None = None,
+        batch: int = 64,
+        queue: int = 256,
+        threads: int = 1,
+        spec: MotionSpec | None = None,
+    ) -> None:
+        self.decoders = decoders
+        self.telemetry = telemetry or Telemetry()
+        self.spec = spec or MotionSpec()
+        self._rules = rules or GuardRules()
+        self._batch, self._queue, self._threads = batch, queue, threads
+        self._damped = DampedVelocity(self.spec.horizon)
+        self._condition = threading.Condition()
+        self._waiting: deque[Slot] = deque()
+        self._futures: set[Future[EngineResult]] = set()
+        self._stopping = False
+        self._warm = threading.Event()
+        self._thread = threading.Thread(target=self._live, name="kinecast-engine", daemon=True)
+        self._recent_ms = 0.0
+        self._last_log = -LOG_EVERY_S
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether a forecast asked for now would be made by the net, and soon."""
+        return self._warm.is_set() and self._thread.is_alive() and not self._stopping
+
+    @property
+    def latency_ms(self) -> float:
+        """Recent time from window to forecast, smoothed."""
+        return self._recent_ms
+
+    def start(self) -> None:
+        """Start the thread; it warms up before it takes work."""
+        self._thread.start()
+
+    def wait_ready(self, timeout_s: float) -> bool:
+        """Wait until the engine is warm; tells whether it is."""
+        return self._warm.wait(timeout_s)
+
+    def stop(self, timeout_s: float = 5.0) -> None:
+        """Finish the batch in hand, give up the rest and end the thread."""
+        with self._condition:
+            self._stopping = True
+            self._condition.notify_all()
+        if self._thread.is_alive():
+            self._thread.join(timeout_s)
+        self._give_up()
+
+    def open_slot(self) -> Slot:
+        """Give a stream its place."""
+        return Slot(self)
+
+    def submit(self, request: EngineRequest) -> "Future[EngineResult]":
+        """Ask for a single forecast, which nothing supersedes.
+
+        Raises:
+            OverloadedError: too many wait already.
+            DrainingError: the engine is stopping.
+        """
+        future: Future[EngineResult] = Future()
+        with self._condition:
+            self._refuse_when_stopping()
+            if len(self._futures) >= self._queue:
+                raise OverloadedError("Too many forecasts are waiting.")
+            self._futures.add(future)
+        future.add_done_callback(self._release)
+
+        def finish(result: EngineResult) -> None:
+            if not future.done() and future.set_running_or_notify_cancel():
+                future.set_result(result)
+
+        self.fill(self.open_slot(), request, finish)
+        return future
+
+    def fill(self, slot: Slot, request: EngineRequest, on_done: Done) -> int:
+        """Put a window into a slot; see `Slot.put`.
+
+        Raises:
+            DrainingError: the engine is stopping.
+        """
+        with self._condition:
+            self._refuse_when_stopping()
+            superseded = slot.job is not None
+            if not superseded:
+                self._waiting.append(slot)
+            slot.job = _Job(request, on_done, time.perf_counter())
+            self._condition.notify()
+        return int(superseded)
+
+    def empty(self, slot: Slot) -> None:
+        """Take a slot's window out of the queue."""
+        with self._condition:
+            if slot.job is not None:
+                slot.job = None
+                self._waiting.remove(slot)
+
+    def _give_up(self) -> None:
+        """Tell those who still wait that nothing will come."""
+        with self._condition:
+            self._stopping = True
+            abandoned = [
+                future for future in self._futures if future.set_running_or_notify_cancel()
+            ]
+        for future in abandoned:
+            future.set_exception(DrainingError())
+
+    def _release(self, future: "Future[EngineResult]") -> None:
+        with self._condition:
+            self._futures.discard(future)
+
+    def _refuse_when_stopping(self) -> None:
+        if self._stopping:
+            raise DrainingError
+
+    def _live(self) -> None:
+        torch.set_num_threads(self._threads)
+        torch.set_flush_denormal(True)  # decayed weights otherwise slow some processors tenfold
+        try:
+            self._warm_up()
+            while jobs := self._take():
+                self._serve(jobs)
+        finally:
+            self._warm.clear()
+            self._give_up()
+
+    def _warm_up(self) -> None:
+        """Forecast a person at rest in every size of batch, so that no caller pays for it."""
+        size = 1
+        while True:
+            pose = np.random.default_rng(size).normal(size=(size, 1, self.spec.joints, 3))
+            try:
+                self.decoders.forecast(np.repeat(pose, self.spec.observe, axis=1))
+            except NET_FAILURES:
+                log.exception("the net fails; forecasts will be fallbacks")
+                return
+            if size >= self._batch:
+                break
+            size = min(2 * size, self._batch)
+        self._warm.set()
+
+    def _take(self) -> list[_Job]:
+        """Take whoever waits, at least one; nobody when it is time to stop."""
+        with self._condition:
+            while not self._waiting and not self._stopping:
+                self._condition.wait()
+            if self._stopping:
+                return []
+            slots = [self._waiting.popleft() for _ in range(min(len(self._waiting), self._batch))]
+            jobs = [slot.job for slot in slots if slot.job is not None]
+            for slot in slots:
+                slot.job = None
+            return jobs
+
+    def _serve(self, jobs: Sequence[_Job]) -> None:
+        started = time.perf_counter()
+        forecasts = self._forecast(np.stack([job.request.window for job in jobs]))
+        ended = time.perf_counter()
+        self.telemetry.count_batch(len(jobs))
+        for job, forecast in zip(jobs, forecasts, strict=True):
+            timing = Timing(
+                queue_ms=round((started - job.since) * 1e3, 3),
+                compute_ms=round((ended - started) * 1e3, 3),
+                total_ms=round((ended - job.since) * 1e3, 3),
+            )
+            self._recent_ms += 0.1 * (timing.total_ms - self._recent_ms)
+            result = self._judge(job.request, forecast, timing)
+            self.telemetry.count_forecast(timing, result.version, deadline_ms=DEADLINE_MS)
+            self._deliver(job, result)
+
+    def _deliver(self, job: _Job, result: EngineResult) -> None:
+        try:
+            job.on_done(result)
+        except RuntimeError:  # the event loop that waited for it is closed
+            log.warning("nobody waits for a forecast any more")
+
+    def _forecast(
+        self, windows: Float[np.ndarray, "batch 15 20 3"]
+    ) -> Sequence[Float32[np.ndarray, "15 20 3"] | None]:
+        """Forecast a batch; None for each window that the net fails on."""
+        try:
+            return list(self.decoders.forecast(windows))
+        except NET_FAILURES as error:
+            if len(windows) == 1:
+                self._report(error)
+                return [None]
+        return [self._forecast(windows[i : i + 1])[0] for i in range(len(windows))]
+
+    def _report(self, error: BaseException) -> None:
+        now = time.perf_counter()
+        if now - self._last_log >= LOG_EVERY_S:
+            self._last_log = now
+            log.error("the net failed on a window", exc_info=error)
+
+    def _judge(
+        self,
+        request: EngineRequest,
+        forecast: Float32[np.ndarray, "15 20 3"] | None,
+        timing: Timing,
+    ) -> EngineResult:
+        """Pass a forecast on, or put a fallback in its place."""
+        if forecast is None or not self._is_possible(forecast):
+            return self._fall_back(request, "engine_error" if forecast is None else "guard", timing)
+        radius = self.decoders.radius(request.coverage)
+        return EngineResult(
+            displacement=forecast,
+            radius=radius,
+            coverage=request.coverage,
+            version=self.decoders.resolve(request.version),
+            timing=timing,
+            flags=() if radius is not None else ("uncalibrated",),
+        )
+
+    def _fall_back(self, request: EngineRequest, reason: Fallback, timing: Timing) -> EngineResult:
+        """Let the person slow down; where even that is impossible, let them stand still."""
+        kind: VersionKind = "damped_velocity"
+        window = torch.from_numpy(request.window[None])
+        displacement = (self._damped(window).double() - window[:, -1:])[0].float().numpy()
+        if not self._is_possible(displacement):
+            kind, displacement = "zero_velocity", np.zeros_like(displacement)
+        return EngineResult(
+            displacement=displacement,
+            radius=None,
+            coverage=request.coverage,
+            version=VersionStamp(None, kind, None, requested=request.version, fallback=reason),
+            timing=timing,
+            flags=("fallback", "uncalibrated"),
+        )
+
+    def _is_possible(self, displacement: Float32[np.ndarray, "15 20 3"]) -> bool:
+        return is_possible(displacement, rate_hz=self.spec.rate_hz, rules=self._rules)

@@ -1,0 +1,44 @@
+"""What goes into the engine and what comes out: plain values, free of torch."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from app.domain.motion import RequestedVersion, Timing, VersionStamp
+
+
+@dataclass(frozen=True, slots=True)
+class EngineRequest:
+    """One window to forecast.
+
+    Attributes:
+        window: metres, net skeleton, y up.
+        version: the weights asked for; must have been resolved before (`Decoders.resolve`).
+        coverage: probability that the radius is to have.
+    """
+
+    window: Float[np.ndarray, "15 20 3"]
+    version: RequestedVersion
+    coverage: float
+
+
+@dataclass(frozen=True, slots=True)
+class EngineResult:
+    """One forecast.
+
+    Attributes:
+        displacement: metres from the last observed pose; net skeleton, y up; always finite.
+        radius: metres, None where it is not calibrated.
+        coverage: probability that the radius has.
+        version: what really answered.
+        timing: where the time went.
+        flags: quality flags of how the forecast came about.
+    """
+
+    displacement: Float32[np.ndarray, "15 20 3"]
+    radius: Float32[np.ndarray, "15 20"] | None
+    coverage: float
+    version: VersionStamp
+    timing: Timing
+    flags: tuple[str, ...]
