@@ -14,11 +14,13 @@ code an error gets is decided in one table, ``app.api.errors``.
     ├── ConflictError                 conflict
     │   ├── UserExistsError           user_exists
     │   ├── VersionUnavailableError   version_unavailable  a pinned version that cannot be used now
+    │   ├── TrialUnavailableError     trial_unavailable    this server records nothing
     │   └── FencedError               fenced               a newer stream took its session over
     ├── InvalidError                  invalid_request      with the list of what is wrong where
     │   ├── LimitExceededError        limit_exceeded       with the name of the limit
     │   ├── UnknownFieldError         unknown_field
     │   ├── BadConfigureError         bad_configure
+    │   ├── LayoutMismatchError       layout_mismatch      the client means other joints
     │   ├── BadFrameError             bad_frame            what a person's pose can never be
     │   │   ├── NanInJsonError        nan_in_json
     │   │   ├── WrongJointCountError  wrong_joint_count
@@ -153,6 +155,13 @@ class VersionUnavailableError(ConflictError):
     title = "The pinned version cannot be used"
 
 
+class TrialUnavailableError(ConflictError):
+    """A recording was asked for where none can be made."""
+
+    code = "trial_unavailable"
+    title = "Recording is not enabled on this server"
+
+
 class FencedError(ConflictError):
     """A newer stream took this session's name over; this one must not come back by itself."""
 
@@ -204,6 +213,13 @@ class BadConfigureError(InvalidError):
 
     code = "bad_configure"
     title = "These stream settings are not valid"
+
+
+class LayoutMismatchError(InvalidError):
+    """The client's joint names are not those of the user's skeleton."""
+
+    code = "layout_mismatch"
+    title = "The joint names are not those of the user's skeleton"
 
 
 class BadFrameError(InvalidError):

@@ -1,5 +1,7 @@
 """How old a frame is, from two clocks that know nothing of each other."""
 
+import math
+
 _SLEW = 0.1
 _STEP_MAX_S = 0.1
 _FAR_S = 5.0
@@ -53,7 +55,7 @@ class ClientClock:
     def pong(self, *, server_t: float, t: float, now: float) -> None:
         """Learn from a pong: sent by us at `server_t`, answered at the client's `t`."""
         rtt = now - server_t
-        if not 0 <= rtt <= _FAR_S:
+        if not (0 <= rtt <= _FAR_S and math.isfinite(t)):
             return
         self._rtt *= _RTT_FORGET
         if rtt <= self._rtt:

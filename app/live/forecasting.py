@@ -93,4 +93,4 @@ def add_displacement(
     """
     carried = displacement[:, skeleton.carry].astype(np.float64)
     turned = carried if up == "y" else from_y_up(carried, up)
-    return (last_joints + turned).astype(np.float32)
+    return np.asarray(last_joints + turned, dtype=np.float32)
