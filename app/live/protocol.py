@@ -140,7 +140,8 @@ class Rejected:
     seq: int | None = None
 
 
-ClientMessage = Auth | Observation | Configure | Reset | Ping | ClientPong | Recording | Rejected
+Control = Auth | Configure | Reset | Ping | ClientPong | Recording
+ClientMessage = Observation | Control | Rejected
 
 
 class _Server(Struct, tag_field="type"):

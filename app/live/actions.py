@@ -1,0 +1,75 @@
+"""What a session needs to know of its stream, and what it asks the route to do."""
+
+from dataclasses import dataclass
+
+from app.domain.errors import KinecastError
+from app.live.protocol import Bye, ErrorMessage, ServerMessage
+from app.live.window import WindowReady
+from app.live.work import EngineRequest
+from models.skeleton import Skeleton
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """Whose stream it is.
+
+    Attributes:
+        user: id of the user.
+        skeleton, up, root_relative: how that user's poses come.
+        session: name of the session.
+        epoch: how often that name was opened.
+        may_record: whether the key has the scope `record`.
+    """
+
+    user: str
+    skeleton: Skeleton
+    up: str
+    root_relative: bool
+    session: str
+    epoch: int
+    may_record: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Send:
+    """Send a message; none of these may be lost."""
+
+    message: ServerMessage
+
+
+@dataclass(frozen=True, slots=True)
+class Ticket:
+    """A window on its way through the engine, and the frame that it came from."""
+
+    seq: int
+    ready: WindowReady
+    flags: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Submit:
+    """Have a window forecast; hand the ticket back with the result."""
+
+    request: EngineRequest
+    ticket: Ticket
+
+
+@dataclass(frozen=True, slots=True)
+class End:
+    """Tell the client why, and close."""
+
+    error: KinecastError
+
+
+Action = Send | Submit | End
+
+
+def describe(error: KinecastError, seq: int | None = None) -> ErrorMessage:
+    """Write an error as a message."""
+    return ErrorMessage(error.code, error.message, error.retryable, seq)
+
+
+def take_leave(error: KinecastError) -> Bye:
+    """Write the last message before a close."""
+    retry_after_s = getattr(error, "retry_after_s", 1.0 if error.retryable else 0.0)
+    return Bye(error.code, float(retry_after_s))
