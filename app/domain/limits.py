@@ -36,3 +36,7 @@ def read_limits(settings: Settings) -> Limits:
         streams_per_user=settings.streams_per_user,
         forecast_frames=settings.forecast_frames,
     )
+
+
+FEATURES: tuple[str, ...] = ("forecast", "stream", "msgpack")
+"""What this server can do; the list grows, and clients ignore what they do not know."""

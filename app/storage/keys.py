@@ -71,6 +71,12 @@ async def list_page(tx: AsyncSession, *, after: Cursor | None, limit: int) -> Pa
     )
 
 
+async def list_all(tx: AsyncSession) -> list[ApiKey]:
+    """List every key, newest first, the revoked ones too."""
+    rows = await tx.execute(_SELECT.order_by(KeyRow.created_at.desc(), KeyRow.id))
+    return [_to_key(row, user) for row, user in rows]
+
+
 async def revoke(tx: AsyncSession, key_id: UUID, *, actor: UUID | None) -> None:
     """Stop a key from working; revoking it again changes nothing.
 

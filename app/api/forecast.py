@@ -1,0 +1,330 @@
+"""`POST /v1/users/{user}/forecast`: one forecast from one request."""
+
+import asyncio
+import json
+import time
+from dataclasses import asdict, dataclass
+from typing import Annotated, Any, NoReturn
+
+import msgspec
+import numpy as np
+from fastapi import APIRouter, Depends, Request, Response
+from pydantic import (
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    InstanceOf,
+    ValidationError,
+    WithJsonSchema,
+)
+from pydantic_core import PydanticCustomError
+
+from app.api.arrays import parse_confidence, parse_poses, parse_times, to_lists, to_wire
+from app.api.dependencies import (
+    JSON_TYPE,
+    MSGPACK_TYPE,
+    PathUser,
+    Predictor,
+    SettingsNeeded,
+    get_settings,
+)
+from app.api.errors import MAX_FIELD_ERRORS, explain_validation
+from app.api.openapi import DENIED, needs, problems
+from app.api.schemas import AnswerModel, RequestModel, VersionOut
+from app.domain import errors
+from app.domain.access import Scope
+from app.domain.errors import (
+    BadMessageError,
+    FieldError,
+    InternalError,
+    InvalidError,
+    LimitExceededError,
+    NanInJsonError,
+    UnsupportedMediaTypeError,
+)
+from app.domain.motion import RequestedVersion, Severity
+from app.domain.users import User
+from app.live.engine import Engine
+from app.live.forecasting import Answer, make_answer
+from app.live.frames import WindowRules
+from app.live.window import WindowReady, assemble
+from app.live.work import EngineRequest, EngineResult
+from app.settings import Settings
+from models.skeleton import SKELETONS
+
+router = APIRouter(tags=["forecast"])
+
+_MAX_VERSION = 2**31 - 1
+_JOINT = {
+    "anyOf": [
+        {"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3},
+        {"type": "null"},
+    ]
+}
+_POSES = {
+    "type": "array",
+    "items": {"anyOf": [{"type": "array", "items": _JOINT}, {"type": "null"}]},
+}
+_NUMBERS = {"type": "array", "items": {"type": "number"}}
+_TABLE = {"type": "array", "items": _NUMBERS}
+Array = InstanceOf[np.ndarray]
+
+
+def _check_version(value: object) -> object:
+    """Say in one message what a version may be, not in one for each kind."""
+    if value in ("active", "base") or (type(value) is int and 0 <= value <= _MAX_VERSION):
+        return value
+    raise PydanticCustomError("version", "must be 'active', 'base' or the number of a version")
+
+
+class ForecastIn(RequestModel):
+    """What was observed: at least 0.45 s of frames, the newest last."""
+
+    model_config = ConfigDict(
+        title="ForecastRequest",
+        json_schema_extra={
+            "examples": [
+                {
+                    "frames": [[[0.02, 0.71, 2.4], [0.02, 0.5, 2.41], None]],
+                    "t": [12.034],
+                    "version": "active",
+                    "coverage": 0.9,
+                }
+            ]
+        },
+    )
+
+    frames: Annotated[Array, BeforeValidator(parse_poses), WithJsonSchema(_POSES)] = Field(
+        description="[time][joint][xyz] in metres, in the user's skeleton; null where missing."
+    )
+    t: Annotated[Array, BeforeValidator(parse_times), WithJsonSchema(_NUMBERS)] | None = Field(
+        None,
+        description="Capture times in seconds, increasing; without them frames are 30 Hz and the "
+        "newest is at 0.",
+    )
+    confidence: (
+        Annotated[Array, BeforeValidator(parse_confidence), WithJsonSchema(_TABLE)] | None
+    ) = Field(None, description="[time][joint], from 0 to 1.")
+    version: Annotated[RequestedVersion, BeforeValidator(_check_version)] = Field(
+        "active", description="Which weights; a number is used as it is, or refused."
+    )
+    coverage: Annotated[float, Field(gt=0, lt=1)] | None = Field(
+        None, description="Probability that `radius` is to have; 0.9 by default."
+    )
+
+
+class TimingOut(AnswerModel):
+    """Where the time went."""
+
+    queue_ms: float
+    compute_ms: float
+    total_ms: float
+
+
+class ForecastOut(AnswerModel):
+    """The next half second, in the skeleton and frame of reference of the request."""
+
+    frames: list[list[list[float]]] = Field(description="[15][joint][xyz] in metres.")
+    t: list[float] = Field(description="Times of the frames, on the clock of the request.")
+    radius: list[list[float]] | None = Field(
+        description="[15][joint] in metres: the joint lies within it with probability `coverage`."
+    )
+    coverage: float
+    version: VersionOut
+    quality: list[str] = Field(description="Flags; `GET /v1/quality` explains them.")
+    severity: Severity
+    filled: list[str] = Field(description="Joints that were missing and were carried.")
+    timing: TimingOut
+
+
+@dataclass(frozen=True, slots=True)
+class _Body:
+    """A request's body and the format in which to answer."""
+
+    request: ForecastIn
+    as_msgpack: bool
+
+
+def forecast_body_limit(settings: Settings) -> int:
+    """Give the most bytes that a forecast request of the most frames can need.
+
+    In JSON a coordinate takes at most 25 bytes and a joint a few more; of the formats, the one
+    with the most joints counts.
+    """
+    joints = max(len(skeleton.joints) for skeleton in SKELETONS.values())
+    return 4096 + settings.forecast_frames * (joints * (4 * 25 + 8) + 64)
+
+
+async def _read_body(request: Request, caller: Predictor) -> _Body:
+    """Read the body after the caller is known, whatever the format."""
+    del caller
+    media_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    if media_type not in {JSON_TYPE, MSGPACK_TYPE}:
+        raise UnsupportedMediaTypeError(f"Send the body as {JSON_TYPE} or {MSGPACK_TYPE}.")
+    body = await request.body()
+    content = _decode(body, as_msgpack=media_type == MSGPACK_TYPE)
+    _check_length(content, get_settings(request).forecast_frames)
+    try:
+        parsed = ForecastIn.model_validate(content)
+    except ValidationError as error:
+        raise _explain(error) from None
+    return _Body(parsed, as_msgpack=_answer_as_msgpack(request, media_type))
+
+
+@router.post(
+    "/v1/users/{user}/forecast",
+    summary="Forecast the next half second",
+    response_model=ForecastOut,
+    openapi_extra={
+        **needs(Scope.PREDICT),
+        "requestBody": {
+            "required": True,
+            "content": {
+                JSON_TYPE: {"schema": ForecastIn.model_json_schema()},
+                MSGPACK_TYPE: {
+                    "schema": {
+                        "type": "string",
+                        "format": "binary",
+                        "description": "The same fields; an array is "
+                        '{"shape", "dtype": "<f4" or "<f8", "data"}.',
+                    }
+                },
+            },
+        },
+    },
+    responses=problems(
+        *DENIED,
+        errors.UnknownUserError,
+        errors.VersionUnavailableError,
+        errors.TooLargeError,
+        errors.UnsupportedMediaTypeError,
+        InvalidError,
+        errors.TooLittleHistoryError,
+        errors.LimitExceededError,
+        errors.OverloadedError,
+    ),
+)
+async def forecast(
+    caller: Predictor,
+    user: PathUser,
+    body: Annotated[_Body, Depends(_read_body)],
+    settings: SettingsNeeded,
+    request: Request,
+) -> Response:
+    """Forecast 15 frames at 30 Hz from at least 0.45 s of observed frames."""
+    del caller
+    started = time.perf_counter()
+    state = request.app.state
+    wanted = body.request
+    state.decoders.resolve(wanted.version)
+    ready = _assemble(wanted, user, state.window_rules)
+    coverage = settings.coverage if wanted.coverage is None else wanted.coverage
+    result = await _compute(state.engine, ready, wanted.version, coverage)
+    answer = make_answer(ready, result, skeleton=SKELETONS[user.skeleton], up=user.up)
+    if not np.isfinite(answer.frames).all():
+        raise InternalError("The forecast was not finite.")
+    total_ms = round((time.perf_counter() - started) * 1e3, 3)
+    return _respond(answer, total_ms=total_ms, as_msgpack=body.as_msgpack)
+
+
+def _assemble(wanted: ForecastIn, user: User, rules: WindowRules) -> WindowReady:
+    return assemble(
+        wanted.frames,
+        wanted.t,
+        wanted.confidence,
+        skeleton=SKELETONS[user.skeleton],
+        up=user.up,
+        rules=rules,
+    )
+
+
+async def _compute(
+    engine: Engine, ready: WindowReady, version: RequestedVersion, coverage: float
+) -> EngineResult:
+    request = EngineRequest(window=ready.window, version=version, coverage=coverage)
+    return await asyncio.wrap_future(engine.submit(request))
+
+
+def _decode(body: bytes, *, as_msgpack: bool) -> object:
+    """Turn bytes into lists and numbers.
+
+    Raises:
+        NanInJsonError: NaN or Infinity in JSON.
+        BadMessageError: no JSON or msgpack.
+    """
+    try:
+        return msgspec.msgpack.decode(body) if as_msgpack else msgspec.json.decode(body)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        if not as_msgpack:
+            _look_for_nan(body)
+        name = "msgpack" if as_msgpack else "JSON"
+        raise BadMessageError(f"The body is no {name}: {error}.") from None
+
+
+def _look_for_nan(body: bytes) -> None:
+    def refuse(name: str) -> NoReturn:
+        raise NanInJsonError(f"{name} is no JSON: send null in place of a missing joint.")
+
+    try:
+        json.loads(body, parse_constant=refuse)
+    except (ValueError, RecursionError):
+        return
+
+
+def _check_length(content: object, limit: int) -> None:
+    """Refuse too many frames before looking at any of them."""
+    frames = content.get("frames") if isinstance(content, dict) else None
+    if isinstance(frames, dict):
+        shape = frames.get("shape")
+        length = shape[0] if isinstance(shape, list) and shape else 0
+    else:
+        length = len(frames) if isinstance(frames, list) else 0
+    if isinstance(length, int) and length > limit:
+        wrong = FieldError(("body", "frames"), f"{length} frames, at most {limit} are allowed")
+        raise LimitExceededError(wrong.msg, limit="forecast_frames", errors=(wrong,))
+
+
+def _explain(error: ValidationError) -> InvalidError:
+    """Name the wrong places, down to the index within an array."""
+    found = []
+    for item in error.errors(include_url=False, include_input=False)[:MAX_FIELD_ERRORS]:
+        context = item.get("ctx", {})
+        place = context.get("at", ())
+        # Pydantic names the branch of a union as well; clients know only fields
+        loc = ("body", *item["loc"][:1], *place)
+        found.append({"type": item["type"], "loc": loc, "msg": context.get("msg", item["msg"])})
+    return explain_validation(found)
+
+
+def _answer_as_msgpack(request: Request, media_type: str) -> bool:
+    """Answer in the format that is asked for, else in that of the request."""
+    accepted = request.headers.get("accept", "*/*").lower()
+    if MSGPACK_TYPE in accepted:
+        return True
+    return media_type == MSGPACK_TYPE and JSON_TYPE not in accepted
+
+
+def _respond(answer: Answer, *, total_ms: float, as_msgpack: bool) -> Response:
+    timing = {**asdict(answer.timing), "total_ms": total_ms}
+    rest: dict[str, Any] = {
+        "coverage": answer.coverage,
+        "version": asdict(answer.version),
+        "quality": list(answer.quality),
+        "severity": answer.severity.value,
+        "filled": list(answer.filled),
+        "timing": timing,
+    }
+    radius = answer.radius
+    if as_msgpack:
+        arrays = {
+            "frames": to_wire(answer.frames, "<f4"),
+            "t": to_wire(answer.t_out, "<f8"),
+            "radius": None if radius is None else to_wire(radius, "<f4"),
+        }
+        return Response(msgspec.msgpack.encode({**arrays, **rest}), media_type=MSGPACK_TYPE)
+    lists = {
+        "frames": to_lists(answer.frames),
+        "t": answer.t_out.tolist(),
+        "radius": None if radius is None else to_lists(radius),
+    }
+    return Response(msgspec.json.encode({**lists, **rest}), media_type=JSON_TYPE)

@@ -1,0 +1,176 @@
+"""`/v1/users`: who is known."""
+
+import io
+import json
+import zipfile
+from dataclasses import asdict
+
+from fastapi import APIRouter, Request, Response
+from starlette.concurrency import run_in_threadpool
+
+from app.api.dependencies import (
+    PAGE_SIZE,
+    Admin,
+    After,
+    DatabaseNeeded,
+    JsonBody,
+    PageSize,
+    PathUser,
+    UserId,
+)
+from app.api.openapi import DENIED, needs, problems
+from app.api.schemas import PageOut, UserIn, UserOut, UserPatch, VersionOut
+from app.domain import errors
+from app.domain.access import Scope
+from app.domain.errors import InvalidError
+from app.domain.events import Action, Event
+from app.domain.motion import VersionStamp
+from app.domain.users import User
+from app.storage import audit, users
+from models.skeleton import SKELETONS
+
+router = APIRouter(tags=["users"])
+ADMIN_ONLY = needs(Scope.ADMIN)
+
+
+@router.post(
+    "/v1/users",
+    status_code=201,
+    summary="Add a user",
+    dependencies=[JsonBody],
+    openapi_extra=ADMIN_ONLY,
+    responses=problems(
+        *DENIED, errors.UserExistsError, errors.UnsupportedMediaTypeError, InvalidError
+    ),
+)
+async def add_user(
+    body: UserIn, caller: Admin, database: DatabaseNeeded, request: Request, response: Response
+) -> UserOut:
+    """Add a person whose motion is to be forecast, with the format that their poses come in."""
+    async with database.write() as tx:
+        user = await users.create(
+            tx,
+            user_id=body.id,
+            skeleton=body.skeleton,
+            up=body.up,
+            root_relative=body.root_relative or SKELETONS[body.skeleton].root_relative,
+            display_name=body.display_name,
+            actor=caller.key_id,
+        )
+    response.headers["Location"] = f"/v1/users/{user.id}"
+    return _show(user, request)
+
+
+@router.get(
+    "/v1/users",
+    summary="List users",
+    openapi_extra=ADMIN_ONLY,
+    responses=problems(*DENIED, InvalidError),
+)
+async def list_users(
+    caller: Admin,
+    database: DatabaseNeeded,
+    request: Request,
+    after: After,
+    limit: PageSize = PAGE_SIZE,
+) -> PageOut[UserOut]:
+    """List the users, newest first."""
+    del caller
+    async with database.read() as tx:
+        page = await users.list_page(tx, after=after, limit=limit)
+    shown = [_show(user, request) for user in page.items]
+    return PageOut[UserOut](items=shown, next_cursor=page.next_cursor)
+
+
+@router.get(
+    "/v1/users/{user}",
+    summary="Get a user",
+    openapi_extra=ADMIN_ONLY,
+    responses=problems(*DENIED, errors.UnknownUserError),
+)
+async def get_user(caller: Admin, user: PathUser, request: Request) -> UserOut:
+    """Get one user, with the active version."""
+    del caller
+    return _show(user, request)
+
+
+@router.patch(
+    "/v1/users/{user}",
+    summary="Change a user",
+    dependencies=[JsonBody],
+    openapi_extra=ADMIN_ONLY,
+    responses=problems(
+        *DENIED, errors.UnknownUserError, errors.UnsupportedMediaTypeError, InvalidError
+    ),
+)
+async def change_user(
+    body: UserPatch, caller: Admin, user: UserId, database: DatabaseNeeded, request: Request
+) -> UserOut:
+    """Change what may change of a user; fields that are left out stay as they are."""
+    async with database.write() as tx:
+        if "display_name" in body.model_fields_set:
+            name = body.display_name
+            changed = await users.rename(tx, user, display_name=name, actor=caller.key_id)
+        else:
+            changed = await users.get(tx, user)
+    return _show(changed, request)
+
+
+@router.delete(
+    "/v1/users/{user}",
+    status_code=204,
+    summary="Erase a user",
+    openapi_extra=ADMIN_ONLY,
+    responses=problems(*DENIED, errors.UnknownUserError),
+)
+async def erase_user(
+    caller: Admin, user: UserId, database: DatabaseNeeded, request: Request
+) -> None:
+    """Erase a user and everything of theirs, in one transaction; open streams close in 2 s."""
+    audit_key: bytes = request.app.state.audit_key
+    async with database.write() as tx:
+        await users.erase(tx, user, actor=caller.key_id, audit_key=audit_key)
+
+
+@router.get(
+    "/v1/users/{user}/export",
+    summary="Export a user",
+    openapi_extra=ADMIN_ONLY,
+    response_class=Response,
+    responses={
+        200: {
+            "content": {"application/zip": {"schema": {"type": "string", "format": "binary"}}},
+            "description": "A zip archive of JSON files.",
+        },
+        **problems(*DENIED, errors.UnknownUserError),
+    },
+)
+async def export_user(caller: Admin, user: UserId, database: DatabaseNeeded) -> Response:
+    """Give everything that is stored about a user, as a zip archive of JSON files."""
+    async with database.write() as tx:
+        found = await users.get(tx, user)
+        audit.record(tx, Action.USER_EXPORTED, actor=caller.key_id, user_uuid=found.uuid)
+        await tx.flush()
+        events = await audit.list_of_user(tx, found.uuid)
+    archive = await run_in_threadpool(_pack, found, events)
+    headers = {"Content-Disposition": f'attachment; filename="{found.id}.zip"'}
+    return Response(archive, media_type="application/zip", headers=headers)
+
+
+def _show(user: User, request: Request) -> UserOut:
+    """Show a user with the active version: the base, as long as there is no personal one."""
+    stamp = VersionStamp(number=0, kind="base", sha256=request.app.state.base_sha256)
+    return UserOut(**_plain(user), version=VersionOut.model_validate(stamp))
+
+
+def _plain(user: User) -> dict[str, object]:
+    return {name: value for name, value in asdict(user).items() if name != "uuid"}
+
+
+def _pack(user: User, events: list[Event]) -> bytes:
+    files = {"user.json": _plain(user), "events.json": [asdict(event) for event in events]}
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            archive.writestr(name, json.dumps(content, default=str, indent=2))
+    return buffer.getvalue()

@@ -1,0 +1,102 @@
+"""`kinecast serve`: the service, from an empty folder to the first forecast."""
+
+import asyncio
+import socket
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from app.commands.output import fail, out
+from app.settings import Settings, load_settings
+
+
+def serve(
+    host: Annotated[
+        str | None, typer.Option(help="Address to listen on.", show_default="127.0.0.1")
+    ] = None,
+    port: Annotated[
+        int | None, typer.Option(help="Port; 0 takes a free one.", show_default="8000")
+    ] = None,
+    data_dir: Annotated[
+        Path | None, typer.Option(help="Folder of the SQLite database.", show_default="var")
+    ] = None,
+    *,
+    no_worker: Annotated[
+        bool, typer.Option("--no-worker", help="Start no fine-tuning worker of its own.")
+    ] = False,
+) -> None:
+    """Serve forecasts over HTTP and WebSocket; migrates the database first."""
+    del no_worker  # accepted for scripts; there is nothing to leave out yet
+    settings = load_settings(host=host, port=port, data_dir=data_dir)
+    listener = _listen(settings)
+    address = _name_address(listener)
+
+    from app.logs import configure_logs  # noqa: PLC0415 - slow to import
+    from app.main import create_app  # noqa: PLC0415
+    from app.server import make_server  # noqa: PLC0415
+
+    configure_logs(settings)
+    where_key_is = asyncio.run(_prepare(settings))
+    server = make_server(
+        create_app(settings), settings, on_ready=lambda: _greet(address, where_key_is)
+    )
+    server.run(sockets=[listener])
+    if not server.started:
+        fail("The service did not start; the log above says why.", status=1)
+
+
+def _listen(settings: Settings) -> socket.socket:
+    """Take the port before anything slow happens."""
+    family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
+    try:
+        return socket.create_server((settings.host, settings.port), family=family, backlog=2048)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        fail(f"Cannot listen on {settings.host}:{settings.port}: {reason}.", status=2)
+
+
+def _name_address(listener: socket.socket) -> str:
+    """Give the address that a browser on this machine can open."""
+    host, port = listener.getsockname()[:2]
+    shown = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)  # noqa: S104 - read, not bound
+    return f"http://[{shown}]:{port}" if ":" in shown else f"http://{shown}:{port}"
+
+
+async def _prepare(settings: Settings) -> str:
+    """Bring the database up to date and see to an admin key; tells where that key is."""
+    from app.storage.bootstrap import ensure_admin  # noqa: PLC0415 - slow to import
+    from app.storage.database import Database  # noqa: PLC0415
+    from app.storage.migrate import upgrade  # noqa: PLC0415
+
+    database = Database.from_settings(settings)
+    try:
+        await upgrade(database)
+        made = await ensure_admin(database, settings)
+    finally:
+        await database.close()
+    return _show_key(settings, made)
+
+
+def _show_key(settings: Settings, made: str | None) -> str:
+    """Show a new admin key on a terminal; elsewhere, where output is kept, write it to a file."""
+    from app.storage.bootstrap import ADMIN_KEY_FILE, write_secret  # noqa: PLC0415 - slow to import
+
+    path = settings.data_dir / ADMIN_KEY_FILE
+    if made is not None and sys.stdout.isatty():
+        return f"{made}  (shown only now; keep it)"
+    if made is not None:
+        write_secret(path, made)
+    if settings.admin_key is not None:
+        return "the one in KINECAST_ADMIN_KEY"
+    return f"in {path}" if path.exists() else "shown at the first start"
+
+
+def _greet(address: str, where_key_is: str) -> None:
+    """Say where to go next."""
+    out.print(f"Kinecast is ready at {address}", style="bold", markup=False)
+    out.print(f"  Admin key  {where_key_is}", markup=False)
+    out.print(f"  API        {address}/docs", markup=False)
+    out.print(f"  Try it     kinecast demo --url {address}", markup=False)
+    out.print("  Stop       Ctrl+C", markup=False)

@@ -1,0 +1,128 @@
+"""The application: its parts, put together once, and started and stopped in order."""
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import structlog
+from fastapi import FastAPI
+
+from app.api import errors, forecast, health, keys, pages, reference, users
+from app.api.middleware import BodyLimit, RequestLog
+from app.domain.errors import StartError
+from app.live.decoders import Decoders
+from app.live.engine import Engine
+from app.live.frames import WindowRules
+from app.live.telemetry import Telemetry
+from app.settings import Settings
+from app.storage.bootstrap import load_audit_key
+from app.storage.database import Database
+from app.storage.migrate import check_current
+from app.version import read_version
+from models.checkpoint import SHIPPED, CheckpointError, load_checkpoint
+
+DESCRIPTION = "Forecasts how a person will move in the next half second, and learns each person."
+WARM_UP_S = 60.0
+SMALL_BODY_BYTES = 16_384
+"""Users and keys need no more; poses have a limit of their own."""
+
+log = structlog.get_logger(__name__)
+
+
+def create_app(settings: Settings, *, decoders: Decoders | None = None) -> FastAPI:
+    """Put the service together; nothing is opened or started before its lifespan begins.
+
+    Args:
+        settings: what to serve, and how.
+        decoders: the weights; by default those of the settings, or the shipped ones.
+
+    Raises:
+        StartError: the weights cannot be loaded.
+    """
+    app = FastAPI(
+        title="Kinecast",
+        version=read_version(),
+        description=DESCRIPTION,
+        docs_url=None,  # the framework's page loads scripts from elsewhere; app.api.pages has ours
+        redoc_url=None,
+        lifespan=_live,
+    )
+    state = app.state
+    state.settings = settings
+    state.database = Database.from_settings(settings)
+    state.decoders = decoders or load_decoders(settings.model)
+    state.base_sha256 = state.decoders.base_sha256
+    state.window_rules = WindowRules.from_settings(settings)
+    state.telemetry = Telemetry()
+    state.engine = Engine(
+        state.decoders,
+        telemetry=state.telemetry,
+        rules=state.window_rules.guard,
+        batch=settings.engine_batch,
+        queue=settings.forecast_queue,
+        threads=settings.engine_threads,
+    )
+    state.draining = False
+    for part in (users, keys, forecast, reference, health, pages):
+        app.include_router(part.router)
+    errors.install(app)
+    _add_middleware(app, settings)
+    return app
+
+
+def load_decoders(path: Path | None) -> Decoders:
+    """Load the base model.
+
+    Args:
+        path: a checkpoint, None for the one that is shipped.
+
+    Raises:
+        StartError: there is no file, or it is no checkpoint.
+    """
+    try:
+        checkpoint = load_checkpoint(path or SHIPPED)
+    except (OSError, CheckpointError) as error:
+        raise StartError(f"The base model cannot be loaded: {error}.") from error
+    return Decoders(checkpoint.predictor, base_sha256=checkpoint.sha256, radius=checkpoint.radius)
+
+
+async def drain(app: FastAPI) -> None:
+    """Leave politely: take no new work, and let open streams end."""
+    app.state.draining = True
+    log.info("draining")
+
+
+def _add_middleware(app: FastAPI, settings: Settings) -> None:
+    forecast_bytes = forecast.forecast_body_limit(settings)
+
+    def limit(path: str) -> int:
+        return forecast_bytes if path.endswith("/forecast") else SMALL_BODY_BYTES
+
+    app.add_middleware(BodyLimit, limit=limit)
+    app.add_middleware(RequestLog)  # the last one added sees a request first
+
+
+@asynccontextmanager
+async def _live(app: FastAPI) -> AsyncIterator[None]:
+    """Start the parts in order, and stop them the other way round."""
+    state = app.state
+    try:
+        await check_current(state.database)
+        state.audit_key = load_audit_key(state.settings)
+        state.engine.start()
+        try:
+            await _warm_up(state.engine)
+            log.info("started", base_sha256=state.base_sha256)
+            yield
+        finally:
+            await asyncio.to_thread(state.engine.stop)
+    finally:
+        await state.database.close()
+        log.info("stopped")
+
+
+async def _warm_up(engine: Engine) -> None:
+    """Wait until forecasts are fast; a net that cannot forecast at all is served by fallbacks."""
+    if not await asyncio.to_thread(engine.wait_ready, WARM_UP_S):
+        log.error("the engine does not get ready")
