@@ -8,7 +8,7 @@ import operator
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -30,6 +30,7 @@ _CHUNK = 2048
 _TINY = 1e-12
 
 
+@runtime_checkable
 class Forecaster(Protocol):
     """What the net and every baseline have in common."""
 

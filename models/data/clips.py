@@ -173,7 +173,8 @@ def _read_npz(path: Path, wanted: _Filter) -> Iterator[Clip]:
 
 def _open_npz(path: Path) -> dict[str, np.ndarray]:
     try:
-        with np.load(path, allow_pickle=False) as file:
+        # Opened here, because numpy leaves a file open that turns out not to be a zip.
+        with path.open("rb") as handle, np.load(handle, allow_pickle=False) as file:
             arrays = {key: file[key] for key in _NPZ_KEYS if key in file}
     except (
         ValueError,
@@ -201,12 +202,18 @@ def _find_npz_problem(arrays: dict[str, np.ndarray]) -> str | None:
         return "expected lengths as positive integers [S]"
     if int(lengths.sum(dtype=np.int64)) != len(frames):
         return f"lengths add up to {lengths.sum()}, but there are {len(frames)} frames"
+    if not np.isfinite(frames).all():
+        return "frames hold values that are not finite"
+    return _find_label_problem(arrays)
+
+
+def _find_label_problem(arrays: dict[str, np.ndarray]) -> str | None:
     for key in ("subject", "action", "trial"):
-        if arrays[key].shape != lengths.shape or arrays[key].dtype.kind != "U":
+        if arrays[key].shape != arrays["lengths"].shape or arrays[key].dtype.kind != "U":
             return f"expected {key} as strings, one per sequence"
     if arrays["rate_hz"].size != 1 or not 0 < float(arrays["rate_hz"]) < 1000:
         return "expected rate_hz as one positive number"
-    return None if np.isfinite(frames).all() else "frames hold values that are not finite"
+    return None
 
 
 def _order(clip: Clip) -> tuple[str, tuple[int, str], tuple[int, str], tuple[int, str]]:

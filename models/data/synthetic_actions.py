@@ -72,6 +72,14 @@ class _Script:
         """Draw a number."""
         return float(self.random.uniform(low, high))
 
+    def happens(self, chance: float) -> bool:
+        """Throw a coin that falls so often on the right side."""
+        return self.vary(0.0, 1.0) < chance
+
+    def count(self, low: int, high: int) -> int:
+        """Draw a number of repetitions, `high` not included."""
+        return int(self.random.integers(low, high))
+
     @property
     def full(self) -> float:
         """Seconds so far."""
@@ -84,7 +92,7 @@ class _Script:
 
 def _reach(script: _Script) -> None:
     size = script.style.amplitude
-    script.leading = script.style.right_handed == (script.vary(0, 1) < 0.8)
+    script.leading = script.style.right_handed == script.happens(0.8)
     out, up = script.vary(-0.25, 0.45), script.vary(-0.35, 0.55)
     forward = np.sqrt(max(0.2, (0.86 * min(size, 1.08)) ** 2 - out**2 - up**2))
     spot = (out, up, float(forward))
@@ -93,7 +101,7 @@ def _reach(script: _Script) -> None:
         script.vary(0.7, 1.0), lead=spot, twist=-0.25, lean=0.08 + 0.35 * low, nod=0.1 + 0.3 * low
     )
     script.pause(script.vary(0.15, 0.4))
-    if script.vary(0, 1) < 0.5:
+    if script.happens(0.5):
         carried = (script.vary(-0.1, 0.3), script.vary(-0.3, 0.1), 0.45)
         script.key(0.7, lead=carried, lean=0.05, nod=0.2)
     script.key(script.vary(0.7, 1.0))
@@ -103,7 +111,7 @@ def _wave(script: _Script) -> None:
     size, rate = script.style.amplitude, script.vary(0.22, 0.3)
     up, width = script.vary(0.15, 0.45), script.vary(0.16, 0.26) * size
     script.key(0.75, lead=(0.40 + width / 2, up, 0.35), bend=-0.03)
-    for beat in range(int(script.vary(5, 10))):
+    for beat in range(script.count(5, 10)):
         side = width if beat % 2 else -width
         script.key(rate, lead=(0.40 + side, up + 0.03 * (beat % 2), 0.35), bend=-0.03)
     script.key(0.8)
@@ -113,7 +121,7 @@ def _punch(script: _Script) -> None:
     guard = (-0.12, -0.02, 0.42)
     stance = {"drop": 0.03, "lean": 0.08}
     script.key(0.6, lead=guard, other=guard, **stance)
-    for _ in range(int(script.vary(2, 5))):
+    for _ in range(script.count(2, 5)):
         blow = (script.vary(-0.25, 0.0), script.vary(-0.05, 0.15), 0.93)
         script.key(script.vary(0.22, 0.3), lead=blow, other=guard, twist=-0.5, **stance)
         script.key(0.32, lead=guard, other=guard, **stance)
@@ -126,7 +134,7 @@ def _squat(script: _Script) -> None:
     depth = script.vary(0.3, 0.45) * min(script.style.amplitude, 1.1)
     arms = (0.05, script.vary(-0.15, 0.05), 0.9)
     down = {"drop": depth, "back": depth * 0.35, "lean": depth * 1.3, "nod": -depth * 0.5}
-    for _ in range(int(script.vary(1, 4))):
+    for _ in range(script.count(1, 4)):
         script.key(script.vary(0.85, 1.2), lead=arms, other=arms, **down)
         script.pause(script.vary(0.1, 0.4))
         script.key(script.vary(0.8, 1.1))
@@ -156,7 +164,7 @@ def _sit_and_work(script: _Script, seconds: float) -> None:
     )
     script.key(0.7, lead=desk, other=desk, lean=0.08, **down)
     while script.full < max(seconds - 2.2, 3.0):
-        script.leading = script.style.right_handed == (script.vary(0, 1) < 0.7)
+        script.leading = script.style.right_handed == script.happens(0.7)
         spot = (script.vary(-0.35, 0.45), script.vary(-0.45, -0.15), script.vary(0.45, 0.8))
         near = (script.vary(-0.25, 0.05), script.vary(-0.45, -0.3), script.vary(0.4, 0.55))
         lean = 0.08 + 0.25 * max(0.0, spot[2] - 0.5)

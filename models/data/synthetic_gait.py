@@ -4,7 +4,7 @@ Every foot is put down where the body will be in the middle of its stance, and l
 begins and ends standing, so that anything can follow it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -18,6 +18,10 @@ _LATER = np.array((0.0, 0.5))
 """By how much of a stride the right and the left foot are ahead."""
 _START = 0.5
 """Strides in which a body gets going, and stops."""
+_CLOSING = 1.2
+"""Strides from when the body begins to stop until the last foot is beside the other."""
+_MIDDLE = np.array((0.0, 0.0, 2.8))
+_ROOM_RADIUS_M = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,8 +158,7 @@ class Gait:
 
     @property
     def _brake(self) -> float:
-        # The last foot is beside the other 1.2 strides after the body has begun to stop.
-        return self.strides - 0.7 - _START
+        return self.strides - _CLOSING
 
 
 def write_gait(
@@ -167,25 +170,46 @@ def write_gait(
     seconds: float,
     random: np.random.Generator,
 ) -> Gait:
-    """Choose steps for some seconds: walks curve back into the room, turns face the sensor."""
-    cadence, lift = style.cadence_hz * float(random.uniform(0.93, 1.07)), 0.06 * body.leg
-    strides = max(3, round(seconds * cadence))
-    length, turn, swing = 0.0, 0.0, 0.15 * style.amplitude
+    """Choose steps for some seconds: walks stay in the room, turns face the sensor again."""
+    gait = Gait(
+        strides=0,
+        cadence_hz=style.cadence_hz * float(random.uniform(0.93, 1.07)),
+        length=0.0,
+        turn=0.0,
+        lift=0.06 * body.leg,
+        swing=0.15 * style.amplitude,
+    )
+    gait = replace(gait, strides=max(3, round(seconds * gait.cadence_hz)))
     if action == "walk":
         length = style.stride * body.leg * float(random.uniform(0.9, 1.1))
-        sharp = float(random.uniform(0.55, 1.0))
-        turn, swing = _side_of_room(start) * length * sharp, 0.42 * style.amplitude
-        lift = 0.09 * body.leg
-    elif action == "turn":
-        goal = float(random.uniform(-0.4, 0.4))
-        away = (goal - start.heading + np.pi) % (2.0 * np.pi) - np.pi
-        if abs(away) < 0.7:
-            away += float(np.sign(away)) * -1.6
-        strides = max(3, min(strides, round(2.5 + abs(away))))
-        turn = away / (strides - 0.7 - _START)
-    else:
-        lift, swing = 0.22 * body.leg * style.amplitude, 0.35 * style.amplitude
-    return Gait(strides, cadence, length, turn, lift, swing)
+        gait = replace(gait, length=length, lift=0.09 * body.leg, swing=0.42 * style.amplitude)
+        return _curve_into_room(gait, start, random)
+    if action == "turn":
+        return _turn_to_sensor(gait, start, random)
+    return replace(gait, lift=0.22 * body.leg * style.amplitude, swing=0.35 * style.amplitude)
+
+
+def _curve_into_room(gait: Gait, start: Stand, random: np.random.Generator) -> Gait:
+    """Walk along the arc, of some drawn at random, that leaves the room the least."""
+    covered = np.arange(0.0, gait.strides, 0.25)
+    best, least = gait, np.inf
+    for radians_per_metre in random.uniform(0.5, 1.4, size=8) * random.choice((-1.0, 1.0), size=8):
+        arc = replace(gait, turn=float(radians_per_metre) * gait.length)
+        place, _ = arc.follow(start, np.minimum(covered, gait.strides - _CLOSING))
+        outside = max(0.0, float(np.linalg.norm(place - _MIDDLE, axis=1).max()) - _ROOM_RADIUS_M)
+        if outside < least:
+            best, least = arc, outside
+    return best
+
+
+def _turn_to_sensor(gait: Gait, start: Stand, random: np.random.Generator) -> Gait:
+    """Turn to where the sensor is, about; or away from it, for who faces it already."""
+    goal = float(random.uniform(-0.4, 0.4))
+    away = (goal - start.heading + np.pi) % (2.0 * np.pi) - np.pi
+    if abs(away) < 0.7:
+        away -= float(np.sign(away)) * 1.6
+    strides = max(3, min(gait.strides, round(2.5 + abs(away))))
+    return replace(gait, strides=strides, turn=away / (strides - _CLOSING))
 
 
 def stand_feet(stands: Stand, count: int, body: Body) -> Feet:
@@ -241,10 +265,3 @@ def _sideways(
 ) -> Float64[np.ndarray, "time 2 3"]:
     offsets = np.array(((half, 0.0, 0.0), (-half, 0.0, 0.0)))
     return np.asarray(np.einsum("tfij,fj->tfi", yaw(heading), offsets))
-
-
-def _side_of_room(stands: Stand) -> float:
-    """Left (1) or right (-1), whichever leads to the middle of the room, 2.8 m off the sensor."""
-    ahead = (-np.sin(stands.heading), -np.cos(stands.heading))
-    to_middle = (-stands.x, 2.8 - stands.z)
-    return 1.0 if ahead[1] * to_middle[0] - ahead[0] * to_middle[1] >= 0 else -1.0

@@ -1,0 +1,15 @@
+import os
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def utd_mhad() -> Path:
+    """The folder of the published recordings; tests that take it are marked `recordings`."""
+    path = Path(os.environ.get("UTD_MHAD", ROOT.parent / "shared" / "data" / "utd-mhad"))
+    if not path.exists():
+        pytest.skip(f"no UTD-MHAD recordings at {path} (set UTD_MHAD to where they are)")
+    return path
