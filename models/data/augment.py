@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from models.normalize import heading_rotation
 from models.skeleton import HIP_CENTER, KINECT_V1, topological_levels
 
 
@@ -29,6 +30,8 @@ class Augmentation:
         tempo: speed of the motion, uniform within 1 plus or minus this, where the clip is long
             enough (applied when the window is cut).
         reverse: probability of playing the window backwards.
+        mix: probability of blending a window with another one of the batch, in canonical place and
+            heading, by a uniform share (mixup, Zhang et al. 2018).
     """
 
     mirror: float = 0.5
@@ -41,6 +44,7 @@ class Augmentation:
     still: float = 0.01
     tempo: float = 0.15
     reverse: float = 0.0
+    mix: float = 0.0
 
 
 def augment(
@@ -50,6 +54,7 @@ def augment(
     windows = _reverse(windows, config.reverse)
     windows = mirror(windows, chosen=_coin(windows, config.mirror))
     windows = _resize(windows, config)
+    windows = _mix(windows, config.mix, observe=observe)
     windows = _turn(windows, config)
     offset = torch.randn(len(windows), 1, windows.shape[2], 3, device=windows.device)
     windows = windows + config.offset_m * offset
@@ -96,6 +101,19 @@ def _resize(windows: Tensor, config: Augmentation) -> Tensor:
         joint = torch.tensor(level, device=windows.device)
         built[:, :, joint] = built[:, :, parents[joint]] + vectors[:, :, joint]
     return built
+
+
+def _mix(windows: Tensor, probability: float, *, observe: int) -> Tensor:
+    """Blend pairs of people: between two motions lies a motion, and nobody's habits."""
+    if probability == 0.0:
+        return windows
+    observed = windows[:, :observe]
+    centred = windows - observed[:, -1:, HIP_CENTER : HIP_CENTER + 1]
+    placed = centred @ heading_rotation(observed).transpose(1, 2)[:, None]
+    partner = placed[torch.randperm(len(windows), device=windows.device)]
+    share = torch.rand(len(windows), 1, 1, 1, device=windows.device)
+    share = torch.where(_coin(windows, probability), share, torch.zeros_like(share))
+    return placed + share * (partner - placed)
 
 
 def _turn(windows: Tensor, config: Augmentation) -> Tensor:

@@ -202,8 +202,8 @@ def _find_npz_problem(arrays: dict[str, np.ndarray]) -> str | None:
         return "expected lengths as positive integers [S]"
     if int(lengths.sum(dtype=np.int64)) != len(frames):
         return f"lengths add up to {lengths.sum()}, but there are {len(frames)} frames"
-    if not np.isfinite(frames).all():
-        return "frames hold values that are not finite"
+    if not (np.abs(frames) <= utd_mhad.MAX_METRES).all():
+        return f"frames hold values beyond {utd_mhad.MAX_METRES} m or not finite"
     return _find_label_problem(arrays)
 
 

@@ -21,7 +21,9 @@ from models.data.synthetic_gait import (
     Gait,
     Stand,
     Style,
+    bearing_to_middle,
     fidget,
+    leaves_room,
     stand_feet,
     stand_pose,
     write_gait,
@@ -217,6 +219,8 @@ class Performance:
     def _next_action(self) -> str:
         if not self._shuffled:
             return self._actions[len(self._segments) % len(self._actions)]
+        if leaves_room(self._stands):
+            return "turn" if abs(bearing_to_middle(self._stands)) > 0.9 else "walk"
         # Somebody who has turned away turns back before doing something for the sensor.
         if abs((self._stands.heading + np.pi) % (2.0 * np.pi) - np.pi) > 0.9:
             return "turn"

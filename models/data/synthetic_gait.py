@@ -203,13 +203,32 @@ def _curve_into_room(gait: Gait, start: Stand, random: np.random.Generator) -> G
 
 
 def _turn_to_sensor(gait: Gait, start: Stand, random: np.random.Generator) -> Gait:
-    """Turn to where the sensor is, about; or away from it, for who faces it already."""
+    """Turn to where the sensor is, about; or away from it, for who faces it already.
+
+    Who has left the room turns back into it first.
+    """
     goal = float(random.uniform(-0.4, 0.4))
-    away = (goal - start.heading + np.pi) % (2.0 * np.pi) - np.pi
-    if abs(away) < 0.7:
+    outside = leaves_room(start)
+    away = bearing_to_middle(start) if outside else _wrap(goal - start.heading)
+    if abs(away) < 0.7 and not outside:
         away -= float(np.sign(away)) * 1.6
     strides = max(3, min(gait.strides, round(2.5 + abs(away))))
     return replace(gait, strides=strides, turn=away / (strides - _CLOSING))
+
+
+def bearing_to_middle(stands: Stand) -> float:
+    """By how much somebody would have to turn to the left to face the middle of the room."""
+    towards = _MIDDLE - np.array((stands.x, 0.0, stands.z))
+    return _wrap(float(np.arctan2(-towards[0], -towards[2])) - stands.heading)
+
+
+def leaves_room(stands: Stand) -> bool:
+    """Whether somebody is near the edge of the room."""
+    return float(np.hypot(stands.x, stands.z - _MIDDLE[2])) > 0.8 * _ROOM_RADIUS_M
+
+
+def _wrap(angle: float) -> float:
+    return (angle + np.pi) % (2.0 * np.pi) - np.pi
 
 
 def stand_feet(stands: Stand, count: int, body: Body) -> Feet:

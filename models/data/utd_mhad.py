@@ -25,6 +25,8 @@ MAX_MEMBER_BYTES = 4 * 1024 * 1024
 """Far above any recording of the data set (a clip takes some 60 kB), far below what would hurt."""
 MAX_MEMBERS = 20_000
 MAX_FRAMES = 9_000
+MAX_METRES = 100.0
+"""No sensor sees that far; values beyond are another unit or damage."""
 
 _NAME = re.compile(r"a(?P<action>\d+)_s(?P<subject>\d+)_t(?P<trial>\d+)_skeleton\.mat")
 # What scipy's reader raises for damaged, truncated or newer (HDF5) files, seen by feeding it some.
@@ -101,12 +103,11 @@ def _check_poses(skeleton: object, name: str) -> Float32[np.ndarray, "time 20 3"
         or skeleton.shape[:2] != (JOINTS, 3)
         or not 1 <= skeleton.shape[2] <= MAX_FRAMES
     ):
-        shape = getattr(skeleton, "shape", type(skeleton).__name__)
         raise RecordingError(
-            f"{name}: expected d_skel as numbers of shape [20, 3, frames]: {shape}"
+            f"{name}: expected a variable d_skel with numbers of shape [20, 3, frames]"
         )
-    if not np.isfinite(skeleton).all():
-        raise RecordingError(f"{name}: d_skel holds values that are not finite")
+    if not (np.abs(skeleton) <= MAX_METRES).all():
+        raise RecordingError(f"{name}: d_skel holds values beyond {MAX_METRES} m or not finite")
     return np.ascontiguousarray(skeleton.transpose(2, 0, 1), dtype=np.float32)
 
 

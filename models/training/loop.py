@@ -16,7 +16,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from models.checkpoint import parse_state, write_state
-from models.data.augment import augment
+from models.data.augment import Augmentation, augment
 from models.latent import Adversary
 from models.losses import reconstruction_loss
 from models.predictor import Predictor
@@ -71,7 +71,7 @@ class Trainer:
         """Take one optimisation step; give the reconstruction's and the discriminators' loss."""
         self.net.train()
         spec = self.net.spec
-        windows = augment(self.sampler.draw(), self.config.augmentation, observe=spec.observe)
+        windows = draw_augmented(self.sampler, self.config.augmentation, observe=spec.observe)
         observed, future = windows[:, : spec.observe], windows[:, spec.observe :]
         encoded = self.net.encode(observed)
         loss = reconstruction_loss(self.net.decode(encoded, observed), future)
@@ -188,13 +188,16 @@ def train(
     return trainer.average.eval()
 
 
+def draw_augmented(
+    sampler: WindowSampler, augmentation: Augmentation, *, observe: int
+) -> Float[Tensor, "batch time joint 3"]:
+    """Draw a batch and augment each source by itself, so that only people of one are blended."""
+    return torch.cat([augment(part, augmentation, observe=observe) for part in sampler.draw()])
+
+
 def _fitting_windows(sampler: WindowSampler, config: PretrainConfig) -> Tensor:
-    return torch.cat(
-        [
-            augment(sampler.draw(), config.augmentation, observe=sampler.length).cpu()
-            for _ in range(8)
-        ]
-    )
+    draws = [draw_augmented(sampler, config.augmentation, observe=sampler.length) for _ in range(8)]
+    return torch.cat(draws).cpu()
 
 
 def _under(tensors: dict[str, Tensor], name: str) -> dict[str, Tensor]:

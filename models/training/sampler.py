@@ -53,9 +53,9 @@ class WindowSampler:
         counts = _windows_by_source(usable, batch=batch, shares=shares)
         self.groups = [_group(usable, source, count, length) for source, count in counts.items()]
 
-    def draw(self) -> Float[Tensor, "batch time joint 3"]:
-        """One batch, with torch's global generator."""
-        return torch.cat([self._draw(group) for group in self.groups])
+    def draw(self) -> list[Float[Tensor, "_ time joint 3"]]:
+        """Draw one batch with torch's global generator, each source by itself."""
+        return [self._draw(group) for group in self.groups]
 
     def _draw(self, group: _Group) -> Float[Tensor, "share time joint 3"]:
         device = self.frames.device

@@ -63,13 +63,16 @@ def test_names_say_who_did_what(name: str, expected: MatName | None) -> None:
     ],
 )
 def test_other_contents_are_refused_with_what_was_expected(content: bytes) -> None:
-    with pytest.raises(RecordingError, match=r"clip 7: expected .*d_skel.* \[20, 3, frames\]"):
+    with pytest.raises(
+        RecordingError, match=r"clip 7: expected a variable d_skel .* \[20, 3, frames\]"
+    ):
         read_mat(content, name="clip 7")
 
 
-def test_values_that_are_not_finite_are_refused() -> None:
+@pytest.mark.parametrize("value", [np.nan, -np.inf, 1e300, 850.0])
+def test_values_that_no_sensor_gives_are_refused(value: float) -> None:
     broken = SKELETON.copy()
-    broken[3, 1, 4] = np.nan
+    broken[3, 1, 4] = value
     with pytest.raises(RecordingError, match="not finite"):
         read_mat(mat(broken))
 
