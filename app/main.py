@@ -3,22 +3,26 @@
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from functools import partial
 from pathlib import Path
 
 import structlog
 from fastapi import FastAPI
 
-from app.api import errors, forecast, health, keys, pages, reference, users
+from app.api import errors, forecast, health, keys, pages, reference, stream, users
 from app.api.middleware import BodyLimit, RequestLog
 from app.domain.errors import StartError
+from app.domain.limits import read_limits
 from app.live.decoders import Decoders
 from app.live.engine import Engine
 from app.live.frames import WindowRules
+from app.live.registry import Registry
 from app.live.telemetry import Telemetry
 from app.settings import Settings
 from app.storage.bootstrap import load_audit_key
 from app.storage.database import Database
 from app.storage.migrate import check_current
+from app.storage.sessions import watch
 from app.version import read_version
 from models.checkpoint import SHIPPED, CheckpointError, load_checkpoint
 
@@ -63,8 +67,16 @@ def create_app(settings: Settings, *, decoders: Decoders | None = None) -> FastA
         queue=settings.forecast_queue,
         threads=settings.engine_threads,
     )
+    state.registry = Registry(
+        partial(watch, state.database),
+        limits=read_limits(settings),
+        telemetry=state.telemetry,
+        watch_s=settings.watch_s,
+        unconfirmed_s=settings.version_unconfirmed_s,
+        close_s=settings.version_unconfirmed_close_s,
+    )
     state.draining = False
-    for part in (users, keys, forecast, reference, health, pages):
+    for part in (users, keys, forecast, stream, reference, health, pages):
         app.include_router(part.router)
     errors.install(app)
     _add_middleware(app, settings)
@@ -91,6 +103,7 @@ async def drain(app: FastAPI) -> None:
     """Leave politely: take no new work, and let open streams end."""
     app.state.draining = True
     log.info("draining")
+    await app.state.registry.drain(app.state.settings.drain_s)
 
 
 def _add_middleware(app: FastAPI, settings: Settings) -> None:
@@ -113,9 +126,11 @@ async def _live(app: FastAPI) -> AsyncIterator[None]:
         state.engine.start()
         try:
             await _warm_up(state.engine)
+            state.registry.start()
             log.info("started", base_sha256=state.base_sha256)
             yield
         finally:
+            await state.registry.stop()
             await asyncio.to_thread(state.engine.stop)
     finally:
         await state.database.close()

@@ -9,6 +9,7 @@ import structlog
 import uvicorn
 from fastapi import FastAPI
 
+from app.api.sockets import StreamProtocol
 from app.main import drain
 from app.settings import Settings
 
@@ -73,7 +74,7 @@ def make_server(
         server_header=False,
         date_header=True,
         proxy_headers=False,
-        ws="websockets-sansio",
+        ws=StreamProtocol,
         ws_max_size=settings.max_message_bytes,
         ws_max_queue=8,
         ws_per_message_deflate=False,

@@ -22,6 +22,10 @@ SUBPROTOCOLS = (MSGPACK, JSON)
 """In the order of preference, where a client offers both."""
 
 Seq = Annotated[int, Meta(ge=0, le=2**53 - 1)]
+ForecastEvery = Annotated[int, Meta(ge=1, le=600)]
+Coverage = Annotated[float, Meta(gt=0, lt=1)]
+VersionNumber = Annotated[int, Meta(ge=0, le=2**31 - 1)]
+MaxAgeMs = Annotated[float, Meta(gt=0, le=60_000)]
 Label = Annotated[str, Meta(max_length=200)]
 PingId = Annotated[int, Meta(ge=-(2**53), le=2**53)] | Annotated[str, Meta(max_length=64)]
 
@@ -49,12 +53,10 @@ class Frame(_Client, tag="frame"):
 class Configure(_Client, tag="configure"):
     """Change how forecasts are made; what is absent stays as it is."""
 
-    forecast_every: Annotated[int, Meta(ge=1, le=600)] | UnsetType = UNSET
-    coverage: Annotated[float, Meta(gt=0, lt=1)] | UnsetType = UNSET
-    version: Literal["active", "base"] | Annotated[int, Meta(ge=0, le=2**31 - 1)] | UnsetType = (
-        UNSET
-    )
-    max_age_ms: Annotated[float, Meta(gt=0, le=60_000)] | UnsetType = UNSET
+    forecast_every: ForecastEvery | UnsetType = UNSET
+    coverage: Coverage | UnsetType = UNSET
+    version: Literal["active", "base"] | VersionNumber | UnsetType = UNSET
+    max_age_ms: MaxAgeMs | UnsetType = UNSET
 
 
 class Reset(_Client, tag="reset"):

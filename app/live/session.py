@@ -318,7 +318,7 @@ class Session:
         return actions
 
     def _tell_stale(self, seq: int, age_ms: float) -> list[Action]:
-        """Tell of a stale frame: the fault of the link, so it counts as no mistake of the client."""
+        """Tell of a stale frame: the link's fault, so it counts as no mistake of the client."""
         self._telemetry.count_frames("stale")
         limit = self.settings.max_age_ms
         return [self._tell(StaleFrameError(f"{age_ms:.0f} ms old, over {limit:g} ms."), seq)]

@@ -35,7 +35,9 @@ class Telemetry:
         )
         self._frames = self._count("kinecast_frames", "Frames that streams sent, by fate.", "fate")
         self._errors = self._count("kinecast_errors", "Errors that streams were told.", "code")
-        self._closed = self._count("kinecast_streams_closed", "Streams that ended.", "close_code")
+        self._closed = self._count(
+            "kinecast_streams_closed", "Streams that ended or were refused.", "close_code"
+        )
         self._open = Gauge(
             "kinecast_streams_open", "Streams that are open now.", registry=self.registry
         )
@@ -71,9 +73,12 @@ class Telemetry:
         """Count a stream in."""
         self._open.inc()
 
-    def stream_closed(self, close_code: int) -> None:
+    def stream_closed(self) -> None:
         """Count a stream out."""
         self._open.dec()
+
+    def count_close(self, close_code: int) -> None:
+        """Count a close code, whether the stream had opened or was refused."""
         self._closed.labels(str(close_code)).inc()
 
     def render(self) -> bytes:

@@ -1,0 +1,147 @@
+"""The WebSocket itself: how it closes, and what happens to messages that are no messages."""
+
+import contextlib
+from collections.abc import Iterator
+
+from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
+from uvicorn.protocols.utils import ClientDisconnected
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+from websockets.exceptions import PayloadTooBig
+from websockets.frames import Close, Frame, Opcode
+
+from app.api.errors import find_answer
+from app.domain.errors import BadMessageError, DrainingError, KinecastError, TooLargeError
+from app.live.actions import describe, take_leave
+from app.live.codec import Codec
+from app.live.connection import GoneError
+from app.live.protocol import JSON, SUBPROTOCOLS
+
+FATAL = 4400
+"""Close code of errors that end a stream only where they happen while it opens."""
+LINGER_S = 2.0
+"""How long a refused client may go on sending before the connection is cut: a connection that is
+closed with bytes unread would be reset, and the client would never read why."""
+ABANDON_S = 10.0
+"""How long the last bytes may take to leave once a stream has ended."""
+
+
+def find_close_code(error: KinecastError) -> int:
+    """Give the close code of an error that ends a stream."""
+    code = find_answer(type(error)).close_code
+    return FATAL if code is None else code
+
+
+class ClientSocket:
+    """An accepted WebSocket, as `app.live.connection.Socket` describes it."""
+
+    def __init__(self, websocket: WebSocket, *, max_message_bytes: int) -> None:
+        self.close_code = 1006
+        self._websocket, self._max_bytes = websocket, max_message_bytes
+        self._is_binary = False
+
+    @property
+    def is_open(self) -> bool:
+        """Whether neither side has closed it yet."""
+        both = (self._websocket.client_state, self._websocket.application_state)
+        return both == (WebSocketState.CONNECTED, WebSocketState.CONNECTED)
+
+    async def receive(self) -> str | bytes:
+        """Wait for a message; see the protocol class.
+
+        Raises:
+            GoneError: the client closed the connection or vanished.
+            TooLargeError: the message is over the limit.
+        """
+        message = await self._websocket.receive()
+        if message["type"] == "websocket.disconnect":
+            self.close_code = message.get("code") or 1005
+            raise GoneError
+        text: str | None = message.get("text")
+        data: str | bytes = message["bytes"] if text is None else text
+        if len(data) > self._max_bytes:
+            raise TooLargeError(f"A message may have {self._max_bytes} bytes.")
+        return data
+
+    async def send(self, data: bytes) -> None:
+        """Send a message in the subprotocol's kind of frame.
+
+        Raises:
+            GoneError: the client is gone.
+        """
+        with _translate_gone():
+            if self._is_binary:
+                await self._websocket.send_bytes(data)
+            else:
+                await self._websocket.send_text(data.decode())
+
+    def use(self, codec: Codec) -> None:
+        """Send frames of the kind that the subprotocol has."""
+        self._is_binary = codec.is_binary
+
+    async def refuse(self, error: KinecastError, codec: Codec) -> None:
+        """Say why, say goodbye and close with the error's code."""
+        self.use(codec)
+        self.close_code = find_close_code(error)
+        with contextlib.suppress(GoneError):
+            if not isinstance(error, DrainingError):
+                await self.send(codec.encode(describe(error)))
+            await self.send(codec.encode(take_leave(error)))
+            with _translate_gone():
+                await self._websocket.close(self.close_code, error.code)
+
+
+class StreamProtocol(WebSocketsSansIOProtocol):
+    """Uvicorn's WebSocket protocol, with our close codes for what it refuses by itself.
+
+    A message beyond the limit is refused by its announced length, before it is read: 4413. What is
+    no WebSocket frame, or no text where text is announced: 4400.
+    """
+
+    _lingering = False
+
+    def data_received(self, data: bytes) -> None:
+        """Take bytes of the client; of one that was refused, only to throw them away."""
+        if not self._lingering:
+            super().data_received(data)
+
+    def handle_parser_exception(self) -> None:
+        """Say what was wrong in words of our protocol, and close."""
+        if not self.handshake_complete or self.close_sent:
+            super().handle_parser_exception()
+            return
+        error: KinecastError = BadMessageError("This is no WebSocket message.")
+        if isinstance(self.conn.parser_exc, PayloadTooBig):
+            error = TooLargeError(f"A message may have {self.config.ws_max_size} bytes.")
+        code = find_close_code(error)
+        self.conn.data_to_send()  # the close frame that we replace
+        for frame in self._farewell(error, code):
+            self.transport.write(frame.serialize(mask=False))
+        self.queue.put_nowait({"type": "websocket.disconnect", "code": code})
+        self.close_sent = self._lingering = True
+        self.transport.resume_reading()
+        self.close_timer = self.loop.call_later(LINGER_S, self.transport.abort)
+
+    async def run_asgi(self) -> None:
+        """Serve the stream; afterwards cut off a client that does not take its last bytes."""
+        await super().run_asgi()
+        self.loop.call_later(ABANDON_S, self.transport.abort)
+
+    def _farewell(self, error: KinecastError, code: int) -> list[Frame]:
+        chosen = self.response.headers.get("Sec-WebSocket-Protocol", JSON)
+        codec = Codec(chosen if chosen in SUBPROTOCOLS else JSON, joints=0)
+        kind = Opcode.BINARY if codec.is_binary else Opcode.TEXT
+        told, goodbye = codec.encode(describe(error)), codec.encode(take_leave(error))
+        return [
+            Frame(kind, told),
+            Frame(kind, goodbye),
+            Frame(Opcode.CLOSE, Close(code, error.code).serialize()),
+        ]
+
+
+@contextlib.contextmanager
+def _translate_gone() -> Iterator[None]:
+    """Make one error of all the ways in which the framework says that a client is gone."""
+    try:
+        yield
+    except (WebSocketDisconnect, ClientDisconnected, RuntimeError) as error:
+        raise GoneError from error

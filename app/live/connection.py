@@ -1,0 +1,163 @@
+"""One open stream: a task that reads, a task that writes, and the engine between them."""
+
+import asyncio
+import time
+from collections.abc import Iterable
+from typing import Protocol
+
+import structlog
+
+from app.domain.errors import DrainingError, KinecastError
+from app.domain.streams import OpenStream
+from app.live.actions import Action, Send, Submit, Ticket
+from app.live.codec import Codec
+from app.live.engine import Engine
+from app.live.outbox import Outbox
+from app.live.protocol import ServerMessage
+from app.live.session import Session
+from app.live.work import EngineResult
+
+STALL_S = 5.0
+"""A client that takes nothing for this long is given up."""
+LEAVE_S = 2.0
+"""Longest wait for the last messages to leave."""
+
+log = structlog.get_logger(__name__)
+
+
+class GoneError(Exception):
+    """The client is not there any more."""
+
+
+class Socket(Protocol):
+    """What a connection needs of a WebSocket."""
+
+    async def receive(self) -> str | bytes:
+        """Wait for a message.
+
+        Raises:
+            GoneError: the client closed the connection or vanished.
+        """
+        ...
+
+    async def send(self, data: bytes) -> None:
+        """Send a message; waits as long as the client takes none.
+
+        Raises:
+            GoneError: the client is gone.
+        """
+        ...
+
+    async def refuse(self, error: KinecastError, codec: Codec) -> None:
+        """Say why, say goodbye and close with the error's code."""
+        ...
+
+
+class Connection:
+    """One open stream, from its hello to its end.
+
+    Args:
+        socket: the accepted WebSocket.
+        codec: the subprotocol.
+        session: what it does with messages.
+        engine: where forecasts are made.
+        stream: what the database knows it by.
+    """
+
+    def __init__(
+        self, socket: Socket, codec: Codec, session: Session, engine: Engine, stream: OpenStream
+    ) -> None:
+        self.stream = stream
+        self.closed = asyncio.Event()
+        self._socket, self._codec, self._session = socket, codec, session
+        self._slot = engine.open_slot()
+        self._outbox = Outbox()
+        self._loop = asyncio.get_running_loop()
+        self._sending_since: float | None = None
+        self._writer: asyncio.Task[None] | None = None
+
+    async def run(self) -> None:
+        """Serve the client until one side ends it."""
+        self._outbox.put(self._session.hello())
+        self._writer = asyncio.create_task(self._write())
+        reader = asyncio.create_task(self._read())
+        try:
+            await asyncio.wait({self._writer, reader}, return_when=asyncio.FIRST_COMPLETED)
+            if self._outbox.ending is not None and not self._writer.done():
+                await asyncio.wait({self._writer}, timeout=LEAVE_S)
+        finally:
+            self._slot.close()
+            for task in (self._writer, reader):
+                task.cancel()
+            outcomes = await asyncio.gather(self._writer, reader, return_exceptions=True)
+            self.closed.set()
+        for outcome in outcomes:
+            if isinstance(outcome, Exception) and not isinstance(outcome, GoneError):
+                raise outcome
+
+    def end(self, error: KinecastError) -> None:
+        """Tell the client why, and close."""
+        self._outbox.end(error)
+
+    def set_unconfirmed(self, *, unconfirmed: bool) -> None:
+        """Flag forecasts while nobody can tell whether their weights are still the right ones."""
+        self._session.unconfirmed = unconfirmed
+
+    def tick(self, now: float) -> None:
+        """Do what is due with the time: about once a second."""
+        if self._sending_since is not None and now - self._sending_since > STALL_S:
+            log.info("a client takes nothing; its stream is given up")
+            if self._writer is not None:
+                self._writer.cancel()
+            return
+        self._perform(self._session.tick(now))
+
+    async def _read(self) -> None:
+        """Drain the socket into the session; the newest window waits in the engine's slot."""
+        while self._outbox.ending is None:
+            data = await self._socket.receive()
+            self._perform(self._session.receive(self._codec.decode(data), time.monotonic()))
+            await self._outbox.wait_for_room()
+
+    async def _write(self) -> None:
+        while True:
+            await self._outbox.wait_for_something()
+            while (message := self._outbox.take_message()) is not None:
+                await self._send(message)
+            if self._outbox.ending is not None:
+                self._sending_since = time.monotonic()
+                await self._socket.refuse(self._outbox.ending, self._codec)
+                return
+            forecast = self._outbox.take_forecast()
+            if forecast is not None:
+                await self._send_forecast(*forecast)
+
+    async def _send_forecast(self, ticket: Ticket, result: EngineResult) -> None:
+        for action in self._session.answer(ticket, result, time.monotonic()):
+            if isinstance(action, Send):
+                await self._send(action.message)
+
+    async def _send(self, message: ServerMessage) -> None:
+        self._sending_since = time.monotonic()
+        await self._socket.send(self._codec.encode(message))
+        self._sending_since = None
+
+    def _perform(self, actions: Iterable[Action]) -> None:
+        for action in actions:
+            if isinstance(action, Send):
+                self._outbox.put(action.message)
+            elif isinstance(action, Submit):
+                self._submit(action)
+            else:
+                self._outbox.end(action.error)
+
+    def _submit(self, action: Submit) -> None:
+        ticket = action.ticket
+
+        def deliver(result: EngineResult) -> None:  # on the engine's thread
+            self._loop.call_soon_threadsafe(self._outbox.put_forecast, ticket, result)
+
+        try:
+            self._slot.put(action.request, deliver)
+        except DrainingError as error:
+            self._outbox.end(error)

@@ -1,0 +1,209 @@
+"""The open streams of this process: how many there may be, and which must close."""
+
+import asyncio
+import time
+from collections import Counter
+from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from typing import Protocol
+from uuid import UUID
+
+import structlog
+
+from app.domain.errors import (
+    DrainingError,
+    FencedError,
+    KinecastError,
+    NotReadyError,
+    TooFastError,
+    UnauthorizedError,
+    UserDeletedError,
+)
+from app.domain.limits import Limits
+from app.domain.streams import OpenStream, Verdict
+from app.live.telemetry import Telemetry
+
+Watch = Callable[[Sequence[OpenStream]], Awaitable[Mapping[OpenStream, Verdict]]]
+"""Asks the database which streams must close; raises NotReadyError where it cannot tell."""
+
+TICK_S = 1.0
+_REASONS: dict[Verdict, type[KinecastError]] = {
+    Verdict.USER_DELETED: UserDeletedError,
+    Verdict.KEY_REVOKED: UnauthorizedError,
+    Verdict.FENCED: FencedError,
+}
+
+log = structlog.get_logger(__name__)
+
+
+class LiveStream(Protocol):
+    """What the registry needs of a connection."""
+
+    stream: OpenStream
+    closed: asyncio.Event
+
+    def end(self, error: KinecastError) -> None:
+        """Tell the client why, and close."""
+        ...
+
+    def tick(self, now: float) -> None:
+        """Do what is due with the time."""
+        ...
+
+    def set_unconfirmed(self, *, unconfirmed: bool) -> None:
+        """Flag forecasts while the database cannot be asked."""
+        ...
+
+
+class Registry:
+    """Keeps the open streams, ticks them, and closes those that the database says must close.
+
+    Args:
+        watch: asks the database.
+        limits: how many streams a key and a user may have.
+        telemetry: where to count.
+        watch_s: how often to ask.
+        unconfirmed_s: without an answer for this long, forecasts are flagged.
+        close_s: without an answer for this long, streams are closed: what they serve may have
+            been erased.
+    """
+
+    def __init__(
+        self,
+        watch: Watch,
+        *,
+        limits: Limits,
+        telemetry: Telemetry,
+        watch_s: float = 1.0,
+        unconfirmed_s: float = 10.0,
+        close_s: float = 60.0,
+    ) -> None:
+        self._watch, self._limits, self._telemetry = watch, limits, telemetry
+        self._watch_s, self._unconfirmed_s, self._close_s = watch_s, unconfirmed_s, close_s
+        self._streams: dict[OpenStream, LiveStream] = {}
+        self._of_key: Counter[UUID] = Counter()
+        self._of_user: Counter[UUID] = Counter()
+        self._confirmed_at = time.monotonic()
+        self._draining = False
+        self._tasks: list[asyncio.Task[None]] = []
+
+    def __len__(self) -> int:
+        return len(self._streams)
+
+    def start(self) -> None:
+        """Begin to tick and to watch."""
+        self._confirmed_at = time.monotonic()
+        self._tasks = [
+            asyncio.create_task(self._tick_for_ever()),
+            asyncio.create_task(self._watch_for_ever()),
+        ]
+
+    async def stop(self) -> None:
+        """Stop ticking and watching."""
+        for task in self._tasks:
+            task.cancel()
+        for task in self._tasks:
+            with suppress(asyncio.CancelledError):
+                await task
+        self._tasks = []
+
+    async def drain(self, timeout_s: float) -> None:
+        """Take no more streams, say goodbye to those that are open and wait for them to end."""
+        self._draining = True
+        waits = [asyncio.create_task(one.closed.wait()) for one in self._streams.values()]
+        for stream in list(self._streams.values()):
+            stream.end(DrainingError())
+        if waits:
+            _, pending = await asyncio.wait(waits, timeout=timeout_s)
+            for task in pending:
+                task.cancel()
+
+    def refuse_when_draining(self) -> None:
+        """Refuse a new stream when this process is about to stop.
+
+        Raises:
+            DrainingError: it is.
+        """
+        if self._draining:
+            raise DrainingError
+
+    @contextmanager
+    def take_seat(self, *, key_id: UUID, user_uuid: UUID) -> Iterator[None]:
+        """Count a stream against its limits for as long as the context lasts.
+
+        Raises:
+            TooFastError: the key or the user has too many streams.
+        """
+        limits = self._limits
+        if self._of_key[key_id] >= limits.streams_per_key:
+            raise TooFastError(
+                f"A key may have {limits.streams_per_key} streams (streams_per_key)."
+            )
+        if self._of_user[user_uuid] >= limits.streams_per_user:
+            most = limits.streams_per_user
+            raise TooFastError(f"A user may have {most} streams (streams_per_user).")
+        self._of_key[key_id] += 1
+        self._of_user[user_uuid] += 1
+        try:
+            yield
+        finally:
+            for counter, key in ((self._of_key, key_id), (self._of_user, user_uuid)):
+                counter[key] -= 1
+                if not counter[key]:
+                    del counter[key]
+
+    @contextmanager
+    def keep(self, stream: LiveStream) -> Iterator[None]:
+        """Watch over a stream for as long as the context lasts; fence those it replaces here."""
+        self.refuse_when_draining()
+        mine = stream.stream
+        for other in list(self._streams.values()):
+            theirs = other.stream
+            same = (theirs.user_uuid, theirs.session) == (mine.user_uuid, mine.session)
+            if same and theirs.epoch < mine.epoch:
+                other.end(FencedError())
+        self._streams[mine] = stream
+        self._telemetry.stream_opened()
+        try:
+            yield
+        finally:
+            del self._streams[mine]
+            self._telemetry.stream_closed()
+
+    async def check(self, now: float) -> None:
+        """Ask the database once, and close what must close.
+
+        Args:
+            now: monotonic clock, seconds.
+        """
+        try:
+            async with asyncio.timeout(self._unconfirmed_s):
+                verdicts = await self._watch(tuple(self._streams))
+        except (NotReadyError, TimeoutError):
+            self._doubt(now)
+            return
+        self._confirmed_at = now
+        for stream in list(self._streams.values()):
+            stream.set_unconfirmed(unconfirmed=False)
+            verdict = verdicts.get(stream.stream)
+            if verdict is not None:
+                stream.end(_REASONS[verdict]())
+
+    def _doubt(self, now: float) -> None:
+        age_s = now - self._confirmed_at
+        for stream in list(self._streams.values()):
+            if age_s > self._unconfirmed_s:
+                stream.set_unconfirmed(unconfirmed=True)
+            if age_s > self._close_s:
+                stream.end(NotReadyError("The database has been out of reach for too long."))
+
+    async def _tick_for_ever(self) -> None:
+        while True:
+            await asyncio.sleep(TICK_S)
+            for stream in list(self._streams.values()):
+                stream.tick(time.monotonic())
+
+    async def _watch_for_ever(self) -> None:
+        while True:
+            await asyncio.sleep(self._watch_s)
+            await self.check(time.monotonic())
