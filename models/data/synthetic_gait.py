@@ -190,15 +190,22 @@ def write_gait(
 
 
 def _curve_into_room(gait: Gait, start: Stand, random: np.random.Generator) -> Gait:
-    """Walk along the arc, of some drawn at random, that leaves the room the least."""
-    covered = np.arange(0.0, gait.strides, 0.25)
+    """Walk along the first arc, of some drawn at random, that stays in the room and ends in it.
+
+    Where none does, the one that does so best; the later ones may be shorter than asked for.
+    """
     best, least = gait, np.inf
-    for radians_per_metre in random.uniform(0.5, 1.4, size=8) * random.choice((-1.0, 1.0), size=8):
-        arc = replace(gait, turn=float(radians_per_metre) * gait.length)
-        place, _ = arc.follow(start, np.minimum(covered, gait.strides - _CLOSING))
-        outside = max(0.0, float(np.linalg.norm(place - _MIDDLE, axis=1).max()) - _ROOM_RADIUS_M)
-        if outside < least:
-            best, least = arc, outside
+    begin = float(np.hypot(start.x, start.z - _MIDDLE[2]))
+    for number in range(24):
+        sharp = float(random.uniform(0.1, 1.4) * random.choice((-1.0, 1.0)))
+        strides = gait.strides if number < 8 else int(random.integers(3, gait.strides + 1))
+        arc = replace(gait, strides=strides, turn=sharp * gait.length)
+        place, _ = arc.follow(start, np.linspace(0.0, strides - _CLOSING, 12))
+        away = np.linalg.norm(place - _MIDDLE, axis=1)
+        leaving = max(0.0, float(away.max()) - max(begin, _ROOM_RADIUS_M))
+        cost = leaving + max(0.0, float(away[-1]) - 0.7 * _ROOM_RADIUS_M)
+        if cost < least:
+            best, least = arc, cost
     return best
 
 
