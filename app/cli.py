@@ -36,6 +36,12 @@ LAZY = (
         "Train a base model on recordings (phase 1).",
     ),
     Lazy(
+        "calibrate",
+        "app.commands.training",
+        "calibrate_command",
+        "Measure the radius of a model on people left out.",
+    ),
+    Lazy(
         "evaluate",
         "app.commands.training",
         "evaluate_command",
@@ -80,10 +86,11 @@ for _lazy in LAZY:
     _add_lazily(_lazy)
 
 
-def _show_version(wanted: bool) -> None:  # noqa: FBT001 - the signature is Typer's
+def _show_version(wanted: bool) -> bool:  # noqa: FBT001 - the signature is Typer's
     if wanted:
         typer.echo(f"kinecast {read_version()}")
         raise typer.Exit
+    return wanted
 
 
 @app.callback()

@@ -8,27 +8,25 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-import torch
 import typer
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from app.commands.output import err, fail, out
 from models.baselines import Forecaster
-from models.checkpoint import SHIPPED, CheckpointError, load_checkpoint
+from models.checkpoint import SHIPPED, Checkpoint, CheckpointError, load_checkpoint, save_checkpoint
 from models.data.clips import Clip, load_clips
 from models.data.splits import TEST_TRIALS, TRAIN_SUBJECTS, select, without_examination
 from models.data.utd_mhad import RecordingError
+from models.data.windows import cut_windows
 from models.metrics import FRAMES
 from models.training import evaluate as evaluation
 from models.training import loop
+from models.training.calibrate import calibrate, measure_coverage
 from models.training.config import PretrainConfig
 from models.training.pretrain import choose_device, pretrain, write_pretrained
 
 _TRAIN_SUBJECTS = ",".join(TRAIN_SUBJECTS)
-console = Console()
-errors = Console(stderr=True)
-
 Data = Annotated[
     Path, typer.Option(help="Folder or zip of UTD-MHAD, or an .npz of the documented keys.")
 ]
@@ -42,7 +40,7 @@ Json = Annotated[Path | None, typer.Option("--json", help="Write the figures her
 
 def pretrain_command(
     data: Data,
-    out: Annotated[Path, typer.Option(help="The checkpoint to write.")],
+    out_file: Annotated[Path, typer.Option("--out", help="The checkpoint to write.")],
     subjects: Subjects = _TRAIN_SUBJECTS,
     mix: Mix = None,
     leave_out: Annotated[
@@ -65,18 +63,37 @@ def pretrain_command(
     if mix is not None:
         clips += without_examination(_read(mix, None))
     left_out = [_person(name) for name in leave_out.split(",") if name]
-    state = out.with_suffix(".state")
+    state = out_file.with_suffix(".state")
     if state.exists():
-        console.print(f"Going on from {state}")
-    console.print(f"{len(clips)} clips, on {choose_device()}")
+        out.print(f"Going on from {state}")
+    out.print(f"{len(clips)} clips, on {choose_device()}")
     with progress_bar("pretraining") as report:
         try:
             result = pretrain(clips, config, leave_out=left_out, report=report, state=state)
         except ValueError as error:
-            raise fail(str(error)) from error
-    sha256 = write_pretrained(out, result, command=_command_line())
+            fail(str(error), status=2)
+    sha256 = write_pretrained(out_file, result, command=_command_line())
     state.unlink(missing_ok=True)
-    console.print(f"{out}  {out.stat().st_size / 1e6:.2f} MB  sha256 {sha256}")
+    out.print(f"{out_file}  {out_file.stat().st_size / 1e6:.2f} MB  sha256 {sha256}")
+
+
+def calibrate_command(
+    model: Annotated[Path, typer.Option(help="The checkpoint that gets the table of radii.")],
+    data: Data,
+    fold: Annotated[
+        list[Path], typer.Option(help="A base trained with people left out; may be repeated.")
+    ],
+) -> None:
+    """Measure the radius on people whom other bases left out, and write it into a model."""
+    try:
+        base = load_checkpoint(model)
+        radius, scores = calibrate([load_checkpoint(path) for path in fold], _read(data, None))
+    except (OSError, ValueError) as error:
+        fail(str(error), status=2)
+    metadata = base.metadata | {"left_out_scores": scores}
+    sha256 = save_checkpoint(model, base.predictor, metadata, radius)
+    at = float(radius.radius(0.9)[-1].mean()) * 100
+    out.print(f"{model}  sha256 {sha256}\nradius at 0.5 s and coverage 0.9: {at:.1f} cm on average")
 
 
 def evaluate_command(
@@ -96,42 +113,56 @@ def evaluate_command(
     try:
         checkpoint = load_checkpoint(model)
     except (OSError, CheckpointError) as error:
-        raise fail(f"{model}: {error}") from error
+        fail(f"{model}: {error}", status=2)
     everybody = _read(data, None)
     trials = test_trials.split(",") if test_trials else _default_trials(data)
     test = select(everybody, subjects=subjects.split(",") if subjects else None, trials=trials)
     if not test:
-        raise fail(
-            f"no clips of subjects {subjects or 'any'} and trials {trials or 'any'} in {data}"
-        )
-    torch.manual_seed(0)
-    rows = _score(checkpoint.predictor, everybody, test, by_subject=bool(subjects), more=baselines)
+        wanted = f"subjects {subjects or 'any'} and trials {','.join(trials or ['any'])}"
+        fail(f"no clips of {wanted} in {data}", status=2)
+    rows = _score(checkpoint, everybody, test, by_subject=bool(subjects), more=baselines)
     description = {"file": model.name, "sha256": checkpoint.sha256}
     protocol = evaluation.describe_protocol(test, model=description)
     report = {"protocol": protocol, "rows": [row.as_json() for row in rows]}
     if json_out is not None:
         _write_json(json_out, report)
     if json_out is None or str(json_out) != "-":
-        console.print(_table(rows, published=_is_paper_protocol(data, trials)))
+        out.print(_table(rows, published=_is_paper_protocol(data, trials)))
+        for row in rows:
+            if row.coverage is not None:
+                told = ", ".join(f"{p:.0%}: {q:.1%}" for p, q in row.coverage.items())
+                out.print(f"coverage of the radius, {row.method}, subject {row.subject}: {told}")
 
 
 def _score(
-    predictor: Forecaster,
+    checkpoint: Checkpoint,
     everybody: Sequence[Clip],
     test: Sequence[Clip],
     *,
     by_subject: bool,
     more: bool,
 ) -> list[evaluation.Row]:
-    methods: dict[str, Forecaster] = {"base": predictor}
+    methods: dict[str, Forecaster] = {"base": checkpoint.predictor}
     methods |= evaluation.simple_baselines() if more else {}
     rows = evaluation.evaluate(methods, test, by_subject=by_subject)
+    rows = [_with_coverage(row, checkpoint, test) if row.method == "base" else row for row in rows]
     training = [clip for clip in evaluation.training_clips(everybody) if clip.source == "utd-mhad"]
     if more and by_subject and training:
         rows += evaluation.evaluate_ridge(training, everybody, test)
     elif more:
-        errors.print("ridge needs UTD-MHAD's subjects 1, 3, 5, 7 to be fitted on: left out")
+        err.print("ridge needs UTD-MHAD's subjects 1, 3, 5, 7 to be fitted on: left out")
     return sorted(rows, key=lambda row: (len(row.subject), row.subject))
+
+
+def _with_coverage(
+    row: evaluation.Row, checkpoint: Checkpoint, test: Sequence[Clip]
+) -> evaluation.Row:
+    if checkpoint.radius is None:
+        return row
+    own = test if row.subject == evaluation.EVERYBODY else select(test, subjects=[row.subject])
+    windows = cut_windows(own, checkpoint.predictor.spec)
+    found = measure_coverage(checkpoint.predictor, checkpoint.radius, windows)
+    return replace(row, coverage=found)
 
 
 def progress_bar(name: str) -> "_Bar":
@@ -147,7 +178,7 @@ class _Bar:
             TextColumn("{task.completed}/{task.total} loss {task.fields[loss]:.4f}"),
             TextColumn("{task.fields[validation]}"),
             TimeRemainingColumn(),
-            console=console,
+            console=err,
             refresh_per_second=2,
         )
         self._task = self._bar.add_task(name, total=None, loss=float("nan"), validation="")
@@ -164,14 +195,8 @@ class _Bar:
         if now.validation is not None:
             text = f"left out {now.validation:.2f} cm²"
             self._bar.update(self._task, validation=text)
-            if not console.is_terminal:
-                console.print(f"step {now.step}/{now.steps}  loss {now.loss:.4f}  {text}")
-
-
-def fail(message: str) -> typer.Exit:
-    """Say in one line on standard error what was wrong; raise the result to exit with 2."""
-    errors.print(f"[red]kinecast:[/red] {message}", highlight=False, soft_wrap=True)
-    return typer.Exit(2)
+            if not err.is_terminal:
+                out.print(f"step {now.step}/{now.steps}  loss {now.loss:.4f}  {text}")
 
 
 def _configure(
@@ -189,13 +214,13 @@ def _read(path: Path, subjects: str | None) -> list[Clip]:
     try:
         return load_clips(path, subjects=subjects.split(",") if subjects else None)
     except (OSError, RecordingError) as error:
-        raise fail(str(error)) from error
+        fail(str(error), status=2)
 
 
 def _person(name: str) -> tuple[str, str]:
     source, slash, subject = name.partition("/")
     if not slash:
-        raise fail(f"{name!r} is no person: write collection/subject, such as utd-mhad/7")
+        fail(f"{name!r} is no person: write collection/subject, such as utd-mhad/7", status=2)
     return source, subject
 
 

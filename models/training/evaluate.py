@@ -40,16 +40,20 @@ class Row:
     windows: int
     clips: int
     scores: Scores
+    coverage: dict[float, float] | None = None
 
     def as_json(self) -> dict[str, Any]:
         """Give the row as the command line writes it."""
-        return {
+        found = {
             "method": self.method,
             "subject": self.subject,
             "windows": self.windows,
             "clips": self.clips,
             **asdict(self.scores),
         }
+        if self.coverage is not None:
+            found["coverage"] = {str(level): share for level, share in self.coverage.items()}
+        return found
 
 
 def evaluate(

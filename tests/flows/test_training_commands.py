@@ -1,0 +1,95 @@
+"""Pretrain, calibrate and evaluate, as a researcher runs them, on a small synthetic collection."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from app.cli import app
+from models.checkpoint import load_checkpoint
+from tests.unit.models.conftest import believable_motion
+
+STEPS = ["--steps", "2", "--batch", "8"]
+
+
+@pytest.fixture
+def collection(tmp_path: Path) -> Path:
+    """Six sequences of three people, in the documented keys."""
+    people = ["1", "3", "2"]
+    clips = [believable_motion(seed, 50) for seed in range(6)]
+    path = tmp_path / "people.npz"
+    np.savez(
+        path,
+        frames=np.concatenate(clips),
+        lengths=np.array([len(clip) for clip in clips]),
+        subject=np.array([people[seed % 3] for seed in range(6)]),
+        action=np.array(["wave"] * 6),
+        trial=np.array([str(1 + seed // 3) for seed in range(6)]),
+        rate_hz=30.0,
+    )
+    return path
+
+
+def run(*arguments: str | Path) -> str:
+    result = CliRunner().invoke(app, [str(a) for a in arguments])
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def test_from_recordings_to_a_calibrated_model_and_its_table(
+    collection: Path, tmp_path: Path
+) -> None:
+    base, fold = tmp_path / "base.safetensors", tmp_path / "fold.safetensors"
+    people = ["--subjects", "1,3"]
+    run("pretrain", "--data", collection, *people, "--out", base, *STEPS)
+    left_out = ["--leave-out", "people/3"]
+    run("pretrain", "--data", collection, *people, "--out", fold, *left_out, *STEPS)
+    run("calibrate", "--model", base, "--data", collection, "--fold", fold)
+    checkpoint = load_checkpoint(base)
+    assert checkpoint.radius is not None
+    assert checkpoint.radius.calibrated_on == "people/3"
+    assert not base.with_suffix(".state").exists()
+
+    report = tmp_path / "figures.json"
+    arguments = ["--data", collection, "--model", base, "--subjects", "2", "--baselines"]
+    shown = run("evaluate", *arguments, "--json", report)
+    assert "zero_velocity" in shown
+    assert "coverage of the radius" in shown
+    figures = json.loads(report.read_text())
+    methods = [row["method"] for row in figures["rows"]]
+    assert methods == ["zero_velocity", "base", "damped_velocity"]
+    assert figures["rows"][0]["frames"] == [2, 4, 8, 10, 13, 15]
+    assert figures["protocol"]["model"]["sha256"] == checkpoint.sha256
+
+
+def test_without_subjects_there_is_one_row_per_method(collection: Path, tmp_path: Path) -> None:
+    base = tmp_path / "base.safetensors"
+    run("pretrain", "--data", collection, "--subjects", "1,3", "--out", base, *STEPS)
+    figures = json.loads(run("evaluate", "--data", collection, "--model", base, "--json", "-"))
+    assert [(row["method"], row["subject"]) for row in figures["rows"]] == [
+        ("zero_velocity", "all"),
+        ("base", "all"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["evaluate", "--data", "nowhere"], "nowhere"),
+        (["evaluate", "--data", "{data}", "--model", "{data}"], "not a Kinecast checkpoint"),
+        (["evaluate", "--data", "{data}", "--subjects", "99"], "subjects 99"),
+        (["pretrain", "--data", "nowhere", "--out", "{out}"], "nowhere"),
+        (["pretrain", "--data", "{data}", "--out", "{out}", "--leave-out", "7"], "utd-mhad/7"),
+        (["pretrain", "--data", "{data}", "--out", "{out}", "--leave-out", "a/7"], "no clips of"),
+    ],
+)
+def test_bad_usage_is_one_clear_line_and_exit_status_2(
+    collection: Path, tmp_path: Path, arguments: list[str], words: str
+) -> None:
+    places = {"data": str(collection), "out": str(tmp_path / "out.safetensors")}
+    result = CliRunner().invoke(app, [argument.format(**places) for argument in arguments])
+    assert result.exit_code == 2
+    assert words in result.stderr.replace("\n", " ")
+    assert "Traceback" not in result.output
