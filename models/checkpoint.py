@@ -11,8 +11,9 @@ import safetensors
 import torch
 from safetensors.torch import load as load_tensors
 from safetensors.torch import save as save_tensors
-from torch import Tensor
+from torch import Tensor, nn
 
+from models.latent import Adversary
 from models.predictor import NetConfig, Predictor
 from models.skeleton import KINECT_V1
 from models.spec import MotionSpec
@@ -20,7 +21,7 @@ from models.uncertainty import RadiusTable
 
 FORMAT = "kinecast-base-1"
 SHIPPED = Path(__file__).parent / "pretrained" / "base.safetensors"
-_NET, _RADIUS = "net.", "radius"
+_NET, _ADVERSARY, _RADIUS = "net.", "adversary.", "radius"
 
 
 class CheckpointError(ValueError):
@@ -36,19 +37,28 @@ class Checkpoint:
         metadata: spec, sizes, skeleton, data hash, command, commit, scores (see docs/model.md).
         sha256: of the whole file; names these weights everywhere.
         radius: calibrated radius per frame and joint, if the file holds one.
+        adversary: the two discriminators, if the net was trained against them.
     """
 
     predictor: Predictor
     metadata: dict[str, Any]
     sha256: str
     radius: RadiusTable | None
+    adversary: Adversary | None
 
 
 def dump_checkpoint(
-    predictor: Predictor, metadata: dict[str, Any], radius: RadiusTable | None = None
+    predictor: Predictor,
+    metadata: dict[str, Any],
+    *,
+    radius: RadiusTable | None = None,
+    adversary: Adversary | None = None,
 ) -> bytes:
     """Serialise a net with its metadata; the same input gives the same bytes."""
     tensors = {_NET + name: t.contiguous() for name, t in predictor.state_dict().items()}
+    if adversary is not None:
+        state = adversary.state_dict()
+        tensors |= {_ADVERSARY + name: t.contiguous() for name, t in state.items()}
     described = {"format": FORMAT, "skeleton": list(KINECT_V1.joints), **predictor.describe()}
     described |= metadata
     if radius is not None:
@@ -61,10 +71,13 @@ def save_checkpoint(
     path: Path,
     predictor: Predictor,
     metadata: dict[str, Any],
+    *,
     radius: RadiusTable | None = None,
+    adversary: Adversary | None = None,
 ) -> str:
     """Write a checkpoint atomically and give its sha256."""
-    return write_atomically(path, dump_checkpoint(predictor, metadata, radius))
+    blob = dump_checkpoint(predictor, metadata, radius=radius, adversary=adversary)
+    return write_atomically(path, blob)
 
 
 def write_atomically(path: Path, blob: bytes) -> str:
@@ -89,18 +102,16 @@ def load_checkpoint(source: Path | bytes) -> Checkpoint:
     blob = source if isinstance(source, bytes) else source.read_bytes()
     metadata, tensors = parse_blob(blob)
     predictor = _build(metadata)
-    state = {name.removeprefix(_NET): t for name, t in tensors.items() if name.startswith(_NET)}
-    try:
-        predictor.load_state_dict(state)
-    except RuntimeError as error:
-        raise CheckpointError(
-            f"the weights do not fit the net they claim to be: {error}"
-        ) from error
-    predictor.eval().requires_grad_(requires_grad=False)
-    radius = None
+    _fill(predictor, tensors, _NET)
+    radius, adversary = None, None
     if _RADIUS in tensors:
         radius = RadiusTable.restore(tensors[_RADIUS].numpy(), metadata["radius"])
-    return Checkpoint(predictor, metadata, hashlib.sha256(blob).hexdigest(), radius)
+    if any(name.startswith(_ADVERSARY) for name in tensors):
+        size = predictor.config
+        hidden = metadata["pretraining"]["adversary_hidden"]
+        adversary = Adversary(continuous=size.continuous, categories=size.categories, hidden=hidden)
+        _fill(adversary, tensors, _ADVERSARY)
+    return Checkpoint(predictor, metadata, hashlib.sha256(blob).hexdigest(), radius, adversary)
 
 
 def write_state(path: Path, tensors: dict[str, Tensor], meta: dict[str, Any]) -> None:
@@ -128,6 +139,17 @@ def parse_blob(blob: bytes) -> tuple[dict[str, Any], dict[str, Tensor]]:
     ) as error:
         raise CheckpointError(f"not a Kinecast checkpoint: {error}") from error
     return metadata, tensors
+
+
+def _fill(net: nn.Module, tensors: dict[str, Tensor], prefix: str) -> None:
+    state = {name.removeprefix(prefix): t for name, t in tensors.items() if name.startswith(prefix)}
+    try:
+        net.load_state_dict(state)
+    except RuntimeError as error:
+        raise CheckpointError(
+            f"the weights do not fit the net they claim to be: {error}"
+        ) from error
+    net.eval().requires_grad_(requires_grad=False)
 
 
 def _build(metadata: dict[str, Any]) -> Predictor:

@@ -91,7 +91,9 @@ def calibrate_command(
     except (OSError, ValueError) as error:
         fail(str(error), status=2)
     metadata = base.metadata | {"left_out_scores": scores}
-    sha256 = save_checkpoint(model, base.predictor, metadata, radius)
+    sha256 = save_checkpoint(
+        model, base.predictor, metadata, radius=radius, adversary=base.adversary
+    )
     at = float(radius.radius(0.9)[-1].mean()) * 100
     out.print(f"{model}  sha256 {sha256}\nradius at 0.5 s and coverage 0.9: {at:.1f} cm on average")
 

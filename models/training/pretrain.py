@@ -14,6 +14,7 @@ from models.checkpoint import save_checkpoint
 from models.data.clips import Clip, data_hash
 from models.data.splits import split_by_person
 from models.data.windows import Windows, cut_windows
+from models.latent import Adversary
 from models.metrics import FRAMES, Scores, evaluate_forecasts
 from models.predictor import Predictor, forecast_in_batches
 from models.spec import MotionSpec
@@ -29,6 +30,7 @@ class Pretrained:
     """A trained net and what is known of it; `scores` are on the people left out, if any."""
 
     predictor: Predictor
+    adversary: Adversary | None
     metadata: dict[str, Any]
     scores: Scores | None
 
@@ -88,7 +90,8 @@ def pretrain(
         "commit": current_commit(),
         "torch": torch.__version__,
     }
-    return Pretrained(net, metadata, scores)
+    adversary = trainer.adversary.cpu().eval() if config.adversarial_weight > 0 else None
+    return Pretrained(net, adversary, metadata, scores)
 
 
 def choose_device() -> torch.device:
@@ -135,7 +138,8 @@ def current_commit() -> str | None:
 def write_pretrained(path: Path, pretrained: Pretrained, *, command: str) -> str:
     """Save the checkpoint; give its sha256."""
     metadata = pretrained.metadata | {"command": command}
-    return save_checkpoint(path, pretrained.predictor, metadata)
+    net, adversary = pretrained.predictor, pretrained.adversary
+    return save_checkpoint(path, net, metadata, adversary=adversary)
 
 
 def _validation_windows(clips: Sequence[Clip], spec: MotionSpec) -> Windows | None:
