@@ -173,13 +173,14 @@ def _find_secrets(variables: Mapping[str, str]) -> Path | None:
 
 
 def _refuse_unknown(variables: Mapping[str, str]) -> None:
-    known = {f"{PREFIX}{name}".upper() for name in Settings.model_fields} | {SECRETS_VARIABLE}
+    names = [name.upper() for name in Settings.model_fields]
+    known = {PREFIX + name for name in names} | {SECRETS_VARIABLE}
     for variable in sorted(variables):
         upper = variable.upper()
         if not upper.startswith(PREFIX) or upper.startswith(TEST_PREFIX) or upper in known:
             continue
-        close = difflib.get_close_matches(upper, known, n=1)
-        hint = f" Did you mean {close[0]}?" if close else ""
+        close = difflib.get_close_matches(upper[len(PREFIX) :], names, n=1)
+        hint = f" Did you mean {PREFIX}{close[0]}?" if close else ""
         raise BadSettingsError(f"Unknown setting {variable}.{hint}")
 
 

@@ -122,9 +122,11 @@ async def run_service(settings: Settings, decoders: Decoders | None = None):
         await ensure_admin(database, settings)
     app = create_app(settings, decoders=decoders or make_decoders())
     transport = httpx.ASGITransport(app, raise_app_exceptions=False)
-    async with app.router.lifespan_context(app):
-        async with httpx.AsyncClient(transport=transport, base_url="http://test") as client:
-            yield Service(app, client)
+    async with (
+        app.router.lifespan_context(app),
+        httpx.AsyncClient(transport=transport, base_url="http://test") as client,
+    ):
+        yield Service(app, client)
 
 
 def watch_person(seconds: float = 0.6, *, seed: int = 1, action: str = "wave") -> np.ndarray:

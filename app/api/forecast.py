@@ -34,6 +34,7 @@ from app.api.schemas import AnswerModel, RequestModel, VersionOut
 from app.domain import errors
 from app.domain.access import Scope
 from app.domain.errors import (
+    BadFrameError,
     BadMessageError,
     FieldError,
     InternalError,
@@ -108,7 +109,7 @@ class ForecastIn(RequestModel):
     version: Annotated[RequestedVersion, BeforeValidator(_check_version)] = Field(
         "active", description="Which weights; a number is used as it is, or refused."
     )
-    coverage: Annotated[float, Field(gt=0, lt=1)] | None = Field(
+    coverage: Annotated[float, Field(gt=0, lt=1, strict=True)] | None = Field(
         None, description="Probability that `radius` is to have; 0.9 by default."
     )
 
@@ -228,6 +229,7 @@ async def forecast(
 
 
 def _assemble(wanted: ForecastIn, user: User, rules: WindowRules) -> WindowReady:
+    _check_shapes(wanted)
     return assemble(
         wanted.frames,
         wanted.t,
@@ -236,6 +238,23 @@ def _assemble(wanted: ForecastIn, user: User, rules: WindowRules) -> WindowReady
         up=user.up,
         rules=rules,
     )
+
+
+def _check_shapes(wanted: ForecastIn) -> None:
+    """Refuse times or confidences of another length than the frames.
+
+    Raises:
+        BadFrameError: naming the field.
+    """
+    shape = wanted.frames.shape[:2]
+    for name, array, needed in (
+        ("t", wanted.t, shape[:1]),
+        ("confidence", wanted.confidence, shape),
+    ):
+        if array is not None and array.shape != needed:
+            given = " by ".join(str(n) for n in array.shape)
+            message = f"{name} has {given} numbers, frames ask for {' by '.join(map(str, needed))}"
+            raise BadFrameError(message, errors=(FieldError(("body", name), message),))
 
 
 async def _compute(

@@ -43,13 +43,28 @@ def find_head() -> str:
     return heads[0]
 
 
+def find_all() -> set[str]:
+    """Name every migration that this version knows."""
+    scripts = ScriptDirectory.from_config(alembic_config()).walk_revisions()
+    return {script.revision for script in scripts}
+
+
 async def upgrade(database: Database) -> bool:
-    """Bring the tables up to date, in one transaction; tell whether anything was to do."""
+    """Bring the tables up to date, in one transaction; tell whether anything was to do.
+
+    Raises:
+        MigrationError: the database was used with a newer version.
+    """
     head = find_head()
     async with database.lock("kinecast.migrate") as session:
         before = await _run(session, _read_revision)
         if before == head:
             return False
+        if before not in {None, *find_all()}:
+            raise MigrationError(
+                f"The database is at migration {before}, which this version does not know: it was "
+                "used with a newer version of Kinecast."
+            )
         await _run(session, lambda connection: command.upgrade(alembic_config(connection), "head"))
         return True
 
