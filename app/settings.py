@@ -18,6 +18,8 @@ PREFIX = "KINECAST_"
 TEST_PREFIX = "KINECAST_TEST_"
 """Variables of the test suite; the service ignores them."""
 SECRETS_VARIABLE = "KINECAST_SECRETS_DIR"
+CLIENT_KEY_VARIABLE = "KINECAST_KEY"
+"""Variable of the commands that call a service (`demo`, `bench`): their API key."""
 DEFAULT_SECRETS_DIR = Path("/run/secrets")
 
 Positive = Annotated[float, Field(gt=0)]
@@ -130,6 +132,22 @@ class Settings(BaseSettings):
     )
 
 
+def read_client_key() -> str | None:
+    """Give the API key of the environment for commands that call a service."""
+    return os.environ.get(CLIENT_KEY_VARIABLE) or None
+
+
+def make_environment(**settings: object) -> dict[str, str]:
+    """Make the environment of a service of one's own, apart from whatever database is configured.
+
+    Args:
+        settings: what it is to have, beside the rest of the environment.
+    """
+    ours = {f"{PREFIX}DATABASE_URL", f"{PREFIX}ADMIN_KEY", f"{PREFIX}DATA_DIR", f"{PREFIX}PORT"}
+    kept = {name: value for name, value in os.environ.items() if name.upper() not in ours}
+    return kept | {f"{PREFIX}{name.upper()}": str(value) for name, value in settings.items()}
+
+
 class SettingDoc(NamedTuple):
     """One row of the documentation's table of settings."""
 
@@ -174,7 +192,7 @@ def _find_secrets(variables: Mapping[str, str]) -> Path | None:
 
 def _refuse_unknown(variables: Mapping[str, str]) -> None:
     names = [name.upper() for name in Settings.model_fields]
-    known = {PREFIX + name for name in names} | {SECRETS_VARIABLE}
+    known = {PREFIX + name for name in names} | {SECRETS_VARIABLE, CLIENT_KEY_VARIABLE}
     for variable in sorted(variables):
         upper = variable.upper()
         if not upper.startswith(PREFIX) or upper.startswith(TEST_PREFIX) or upper in known:
