@@ -9,7 +9,7 @@ from pathlib import Path
 import structlog
 from fastapi import FastAPI
 
-from app.api import errors, forecast, health, keys, pages, reference, stream, users
+from app.api import errors, forecast, health, keys, openapi, pages, reference, stream, users
 from app.api.middleware import BodyLimit, RequestLog
 from app.domain.errors import StartError
 from app.domain.limits import read_limits
@@ -50,6 +50,7 @@ def create_app(settings: Settings, *, decoders: Decoders | None = None) -> FastA
         description=DESCRIPTION,
         docs_url=None,  # the framework's page loads scripts from elsewhere; app.api.pages has ours
         redoc_url=None,
+        redirect_slashes=False,
         lifespan=_live,
     )
     state = app.state
@@ -79,6 +80,7 @@ def create_app(settings: Settings, *, decoders: Decoders | None = None) -> FastA
     for part in (users, keys, forecast, stream, reference, health, pages):
         app.include_router(part.router)
     errors.install(app)
+    openapi.install(app)
     _add_middleware(app, settings)
     return app
 

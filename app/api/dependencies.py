@@ -92,12 +92,6 @@ async def _find_user(user_id: Annotated[str, Depends(_check_user)], request: Req
         return await users.get(tx, user_id)
 
 
-async def _require_json(request: Request) -> None:
-    media_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
-    if media_type != JSON_TYPE:
-        raise UnsupportedMediaTypeError(f"Send the body as {JSON_TYPE}.")
-
-
 async def _read_cursor(
     cursor: Annotated[str | None, Query(description="`next_cursor` of the page before.")] = None,
 ) -> Cursor | None:
@@ -107,6 +101,16 @@ async def _read_cursor(
 SettingsNeeded = Annotated[Settings, Depends(get_settings)]
 DatabaseNeeded = Annotated[Database, Depends(get_database)]
 Admin = Annotated[Principal, Depends(Require(Scope.ADMIN))]
+
+
+async def _require_json(request: Request, caller: Admin) -> None:
+    """Refuse other formats, but only to those who may send anything here."""
+    del caller
+    media_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    if media_type != JSON_TYPE:
+        raise UnsupportedMediaTypeError(f"Send the body as {JSON_TYPE}.")
+
+
 Predictor = Annotated[Principal, Depends(Require(Scope.PREDICT))]
 UserId = Annotated[str, Depends(_check_user)]
 PathUser = Annotated[User, Depends(_find_user)]

@@ -68,6 +68,11 @@ _POSES = {
 }
 _NUMBERS = {"type": "array", "items": {"type": "number"}}
 _TABLE = {"type": "array", "items": _NUMBERS}
+_BINARY = {
+    "type": "string",
+    "format": "binary",
+    "description": 'The same fields; an array is {"shape", "dtype": "<f4" or "<f8", "data"}.',
+}
 Array = InstanceOf[np.ndarray]
 
 
@@ -182,28 +187,28 @@ async def _read_body(request: Request, caller: Predictor) -> _Body:
             "required": True,
             "content": {
                 JSON_TYPE: {"schema": ForecastIn.model_json_schema()},
-                MSGPACK_TYPE: {
-                    "schema": {
-                        "type": "string",
-                        "format": "binary",
-                        "description": "The same fields; an array is "
-                        '{"shape", "dtype": "<f4" or "<f8", "data"}.',
-                    }
-                },
+                MSGPACK_TYPE: {"schema": _BINARY},
             },
         },
     },
-    responses=problems(
-        *DENIED,
-        errors.UnknownUserError,
-        errors.VersionUnavailableError,
-        errors.TooLargeError,
-        errors.UnsupportedMediaTypeError,
-        InvalidError,
-        errors.TooLittleHistoryError,
-        errors.LimitExceededError,
-        errors.OverloadedError,
-    ),
+    responses={
+        200: {"content": {MSGPACK_TYPE: {"schema": _BINARY}}},
+        **problems(
+            *DENIED,
+            errors.UnknownUserError,
+            errors.VersionUnavailableError,
+            errors.TooLargeError,
+            errors.UnsupportedMediaTypeError,
+            BadMessageError,
+            InvalidError,
+            NanInJsonError,
+            errors.WrongJointCountError,
+            errors.TooLittleHistoryError,
+            errors.PersonLostError,
+            LimitExceededError,
+            errors.OverloadedError,
+        ),
+    },
 )
 async def forecast(
     caller: Predictor,
