@@ -13,6 +13,9 @@ from torch import Tensor
 from models.normalize import heading_rotation
 from models.skeleton import HIP_CENTER, KINECT_V1, topological_levels
 
+_LIMBS = ((5, 6, 7), (9, 10, 11), (13, 14, 15), (17, 18, 19))
+_LIMB_OF_JOINT = [[float(joint in limb) for joint in range(20)] for limb in _LIMBS]
+
 
 @dataclass(frozen=True, slots=True)
 class Augmentation:
@@ -30,6 +33,9 @@ class Augmentation:
         tempo: speed of the motion, uniform within 1 plus or minus this, where the clip is long
             enough (applied when the window is cut).
         reverse: probability of playing the window backwards.
+        flicker: probability of limbs that the sensor does not see well: they wander through the
+            whole window, so that nothing but holding still forecasts them.
+        flicker_m: how far a limb wanders in a frame, uniform up to this deviation.
         mix: probability of blending a window with another one of the batch, in canonical place and
             heading, by a uniform share (mixup, Zhang et al. 2018).
     """
@@ -44,6 +50,8 @@ class Augmentation:
     still: float = 0.01
     tempo: float = 0.15
     reverse: float = 0.0
+    flicker: float = 0.0
+    flicker_m: float = 0.012
     mix: float = 0.0
 
 
@@ -56,6 +64,7 @@ def augment(
     windows = _resize(windows, config)
     windows = _mix(windows, config.mix, observe=observe)
     windows = _turn(windows, config)
+    windows = _flicker(windows, config)
     offset = torch.randn(len(windows), 1, windows.shape[2], 3, device=windows.device)
     windows = windows + config.offset_m * offset
     windows = torch.where(_coin(windows, config.still), windows[:, :1], windows)
@@ -129,6 +138,24 @@ def _turn(windows: Tensor, config: Augmentation) -> Tensor:
     centre = windows[:, :1, HIP_CENTER : HIP_CENTER + 1]
     turned: Tensor = (windows - centre) @ rotation.transpose(1, 2)[:, None]
     return turned + centre
+
+
+def _flicker(windows: Tensor, config: Augmentation) -> Tensor:
+    """Let one or more limbs wander: steps that fade at a rate between at once and never."""
+    if config.flicker == 0.0:
+        return windows
+    count, length = windows.shape[:2]
+    device = windows.device
+    keep = torch.rand(count, 1, 1, device=device)
+    size = config.flicker_m * torch.rand(count, 1, 1, device=device)
+    steps = torch.randn(length, *windows[:, 0].shape, device=device) * size
+    wander = [steps[0] / (1 - 0.9 * keep)]  # about as far as it will have come
+    for step in steps[1:]:
+        wander.append(keep * wander[-1] + step)
+    unseen = torch.rand(count, 1, len(_LIMBS), device=device) < 0.4
+    limbs = unseen.float() @ torch.tensor(_LIMB_OF_JOINT, device=device)
+    hit = limbs[..., None] * _coin(windows, config.flicker)
+    return windows + hit * torch.stack(wander, dim=1)
 
 
 def _shake(windows: Tensor, config: Augmentation, *, observe: int) -> Tensor:

@@ -27,6 +27,7 @@ class PretrainConfig:
         adversary_rate: learning rate of the discriminators.
         adversary_hidden: their width.
         shares: part of each batch by source; sources of the data that are not named share the rest.
+        pools: sources whose people may be blended with each other, see `Augmentation.mix`.
         seed: of the initial weights, the sampling and the augmentation.
         evaluate_every: steps between validations on the people left out.
         patience: validations without improvement before stopping early; None runs all steps.
@@ -46,6 +47,7 @@ class PretrainConfig:
     adversary_rate: float = 5e-4
     adversary_hidden: int = 64
     shares: dict[str, float] = field(default_factory=lambda: {"utd-mhad": 0.5})
+    pools: tuple[tuple[str, ...], ...] = (("utd-mhad", "precog"),)
     seed: int = 0
     evaluate_every: int = 1_000
     patience: int | None = None

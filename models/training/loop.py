@@ -191,7 +191,7 @@ def train(
 def draw_augmented(
     sampler: WindowSampler, augmentation: Augmentation, *, observe: int
 ) -> Float[Tensor, "batch time joint 3"]:
-    """Draw a batch and augment each source by itself, so that only people of one are blended."""
+    """Draw a batch and augment each pool by itself, so that only people of one are blended."""
     return torch.cat([augment(part, augmentation, observe=observe) for part in sampler.draw()])
 
 

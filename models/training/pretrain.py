@@ -66,6 +66,7 @@ def pretrain(
             length=spec.frames,
             batch=config.batch,
             shares=config.shares,
+            pools=config.pools,
             tempo=config.augmentation.tempo,
             device=device,
         )

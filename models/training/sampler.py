@@ -1,6 +1,6 @@
 """Draws training windows: by source in fixed shares, uniformly within a source, at varied tempo."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -27,6 +27,7 @@ class WindowSampler:
         length: frames in a window.
         batch: windows in a batch.
         shares: part of a batch by source; sources not named share the rest equally.
+        pools: sources that are drawn into one part of the batch; others are parts by themselves.
         tempo: speed of a window, uniform within 1 plus or minus this where its clip allows.
         device: where the frames are kept.
 
@@ -41,6 +42,7 @@ class WindowSampler:
         length: int,
         batch: int,
         shares: Mapping[str, float],
+        pools: Collection[Collection[str]],
         tempo: float,
         device: torch.device,
     ) -> None:
@@ -51,11 +53,16 @@ class WindowSampler:
         self.tempo = tempo
         self.frames = torch.cat([torch.as_tensor(clip.poses) for clip in usable]).to(device)
         counts = _windows_by_source(usable, batch=batch, shares=shares)
-        self.groups = [_group(usable, source, count, length) for source, count in counts.items()]
+        self.groups = {
+            source: _group(usable, source, count, length) for source, count in counts.items()
+        }
+        self.parts = _join(list(self.groups), pools)
 
     def draw(self) -> list[Float[Tensor, "_ time joint 3"]]:
-        """Draw one batch with torch's global generator, each source by itself."""
-        return [self._draw(group) for group in self.groups]
+        """Draw one batch with torch's global generator, each pool of sources by itself."""
+        return [
+            torch.cat([self._draw(self.groups[source]) for source in part]) for part in self.parts
+        ]
 
     def _draw(self, group: _Group) -> Float[Tensor, "share time joint 3"]:
         device = self.frames.device
@@ -85,6 +92,14 @@ def _windows_by_source(
     largest = max(counts, key=lambda source: counts[source])
     counts[largest] += batch - sum(counts.values())
     return {source: count for source, count in counts.items() if count > 0}
+
+
+def _join(sources: Sequence[str], pools: Collection[Collection[str]]) -> list[list[str]]:
+    """Sort the sources into the pools that name them, the others each into one of its own."""
+    joined = [[source for source in sources if source in pool] for pool in pools]
+    named = {source for part in joined for source in part}
+    alone = [[source] for source in sources if source not in named]
+    return [part for part in joined if part] + alone
 
 
 def _group(clips: Sequence[Clip], source: str, share: int, length: int) -> _Group:

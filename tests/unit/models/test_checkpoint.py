@@ -22,7 +22,9 @@ def make_radius() -> RadiusTable:
 def test_a_checkpoint_gives_back_the_same_forecasts(
     predictor: Predictor, synthetic_windows: torch.Tensor, tmp_path: Path
 ) -> None:
-    sha256 = save_checkpoint(tmp_path / "a.safetensors", predictor, {"note": 1}, radius=make_radius())
+    sha256 = save_checkpoint(
+        tmp_path / "a.safetensors", predictor, {"note": 1}, radius=make_radius()
+    )
     loaded = load_checkpoint(tmp_path / "a.safetensors")
     window = synthetic_windows[:, :15]
     assert torch.allclose(loaded.predictor(window), predictor(window), atol=1e-6)

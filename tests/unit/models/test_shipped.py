@@ -74,9 +74,7 @@ def test_it_has_a_radius_that_was_measured_on_people_left_out(shipped: Checkpoin
     assert not {person.split("/")[1] for person in people} & set(TEST_SUBJECTS)
 
 
-def test_mirrored_people_get_mirrored_forecasts(
-    shipped: Checkpoint, windows: torch.Tensor
-) -> None:
+def test_mirrored_people_get_mirrored_forecasts(shipped: Checkpoint, windows: torch.Tensor) -> None:
     """The net is not symmetric by construction; the augmentation makes it nearly so."""
     forecast = shipped.predictor(windows)
     mirrored = mirror(shipped.predictor(mirror(windows)))

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from models.data.augment import Augmentation, augment, mirror
+from models.normalize import heading_rotation
 from models.skeleton import HIP_CENTER, KINECT_V1, LEFT_HAND, RIGHT_HAND
 
 OFF = Augmentation(**{field.name: 0.0 for field in fields(Augmentation)})
@@ -69,3 +70,25 @@ def test_still_and_reversed_windows(
     else:
         expected = synthetic_windows.flip(1)
     assert torch.allclose(changed, expected, atol=1e-6)
+
+
+def test_flickering_limbs_wander_and_the_trunk_stays(synthetic_windows: torch.Tensor) -> None:
+    torch.manual_seed(0)
+    changed = augment(synthetic_windows, replace(OFF, flicker=1.0, flicker_m=0.02), observe=15)
+    moved = (changed - synthetic_windows).norm(dim=-1)
+    assert moved[:, :, [0, 1, 2, HIP_CENTER, 4, 8, 12, 16]].max() < 1e-5
+    limbs = moved[:, :, [7, 11, 15, 19]].amax(dim=1) > 1e-4
+    assert 0.2 < limbs.float().mean() < 0.6
+    assert (limbs.any(dim=1) & ~limbs.all(dim=1)).any()
+
+
+def test_blended_people_stand_between_two_of_the_batch(synthetic_windows: torch.Tensor) -> None:
+    torch.manual_seed(0)
+    blended = augment(synthetic_windows, replace(OFF, mix=1.0), observe=15)
+    centre = blended[:, 14, HIP_CENTER]
+    assert centre.abs().max() < 1e-5
+    centred = synthetic_windows - synthetic_windows[:, 14:15, HIP_CENTER : HIP_CENTER + 1]
+    placed = centred @ heading_rotation(synthetic_windows[:, :15]).transpose(1, 2)[:, None]
+    assert (blended >= placed.amin(dim=0) - 1e-5).all()
+    assert (blended <= placed.amax(dim=0) + 1e-5).all()
+    assert (torch.cdist(blended.flatten(1), placed.flatten(1)).amin(dim=1) > 1e-3).any()

@@ -8,16 +8,29 @@ from tests.unit.models.conftest import make_clips
 CPU = torch.device("cpu")
 
 
-def make_sampler(clips: list[Clip], tempo: float = 0.0, batch: int = 20) -> WindowSampler:
+def make_sampler(
+    clips: list[Clip],
+    tempo: float = 0.0,
+    batch: int = 20,
+    pools: tuple[tuple[str, ...], ...] = (),
+) -> WindowSampler:
+    shares = {"utd-mhad": 0.5}
     return WindowSampler(
-        clips, length=30, batch=batch, shares={"utd-mhad": 0.5}, tempo=tempo, device=CPU
+        clips, length=30, batch=batch, shares=shares, pools=pools, tempo=tempo, device=CPU
     )
 
 
 def test_a_batch_holds_each_source_in_its_share() -> None:
     clips = make_clips(4) + make_clips(2, source="a") + make_clips(3, source="b")
-    assert [group.share for group in make_sampler(clips).groups] == [5, 5, 10]
+    assert [group.share for group in make_sampler(clips).groups.values()] == [5, 5, 10]
     assert [len(part) for part in make_sampler(clips).draw()] == [5, 5, 10]
+
+
+def test_pools_are_drawn_together() -> None:
+    clips = make_clips(4) + make_clips(2, source="a") + make_clips(3, source="b")
+    sampler = make_sampler(clips, pools=(("utd-mhad", "a"), ("elsewhere",)))
+    assert sampler.parts == [["a", "utd-mhad"], ["b"]]
+    assert [len(part) for part in sampler.draw()] == [15, 5]
 
 
 def test_odd_batches_are_filled_to_the_last_window() -> None:
