@@ -39,11 +39,19 @@ class Send:
 
 @dataclass(frozen=True, slots=True)
 class Ticket:
-    """A window on its way through the engine, and the frame that it came from."""
+    """A window on its way through the engine, and the frame that it came from.
+
+    Attributes:
+        seq: number of the frame.
+        ready: the window.
+        flags: quality flags of how the frame came.
+        born: when it was captured, as far as was known on its arrival; server's clock, seconds.
+    """
 
     seq: int
     ready: WindowReady
     flags: tuple[str, ...]
+    born: float
 
 
 @dataclass(frozen=True, slots=True)

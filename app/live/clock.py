@@ -41,12 +41,6 @@ class ClientClock:
             drift = _SLEW * min(now - self._last_now, _STEP_MAX_S)
             self._quickest = min(delay, self._quickest + drift)
         self._last_now = now
-        return self.age_ms(t, now)
-
-    def age_ms(self, t: float, now: float) -> float:
-        """Give the age of a frame in milliseconds, without learning from it."""
-        if self._quickest is None:
-            return 0.0
         offset = self._quickest
         if self._ponged is not None and -self._rtt <= offset - self._ponged <= _FAR_S:
             offset = self._ponged  # else the pongs came from another clock than the frames

@@ -111,7 +111,7 @@ class Codec:
             raise WrongJointCountError(f"{self._joints} joints are expected, got {len(pose)}.")
         return pose
 
-    def _read_confidence(self, raw: Raw) -> Float[np.ndarray, " joint"] | None:
+    def _read_confidence(self, raw: Raw) -> Float[np.ndarray, " number"] | None:
         given = self._read(self._numbers, raw, "confidence")
         if given is None:
             return None

@@ -3,7 +3,7 @@
 import asyncio
 import time
 from collections.abc import Iterable
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import structlog
 
@@ -29,6 +29,7 @@ class GoneError(Exception):
     """The client is not there any more."""
 
 
+@runtime_checkable
 class Socket(Protocol):
     """What a connection needs of a WebSocket."""
 
@@ -118,6 +119,7 @@ class Connection:
             data = await self._socket.receive()
             self._perform(self._session.receive(self._codec.decode(data), time.monotonic()))
             await self._outbox.wait_for_room()
+            await asyncio.sleep(0)  # a burst is read without waiting: let the others have a turn
 
     async def _write(self) -> None:
         while True:

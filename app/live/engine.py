@@ -7,6 +7,7 @@ the others of its batch do not notice.
 
 import threading
 import time
+import traceback
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
@@ -112,6 +113,7 @@ class Engine:
         self._futures: set[Future[EngineResult]] = set()
         self._stopping = False
         self._warm = threading.Event()
+        self._healthy = False
         self._thread = threading.Thread(target=self._live, name="kinecast-engine", daemon=True)
         self._recent_ms = 0.0
         self._last_log = -LOG_EVERY_S
@@ -119,7 +121,7 @@ class Engine:
     @property
     def is_ready(self) -> bool:
         """Whether a forecast asked for now would be made by the net, and soon."""
-        return self._warm.is_set() and self._thread.is_alive() and not self._stopping
+        return self._healthy and self._thread.is_alive() and not self._stopping
 
     @property
     def latency_ms(self) -> float:
@@ -131,8 +133,8 @@ class Engine:
         self._thread.start()
 
     def wait_ready(self, timeout_s: float) -> bool:
-        """Wait until the engine is warm; tells whether it is."""
-        return self._warm.wait(timeout_s)
+        """Wait until the engine has warmed up; tells whether the net can forecast."""
+        return self._warm.wait(timeout_s) and self._healthy
 
     def stop(self, timeout_s: float = 5.0) -> None:
         """Finish the batch in hand, give up the rest and end the thread."""
@@ -213,27 +215,27 @@ class Engine:
         torch.set_num_threads(self._threads)
         torch.set_flush_denormal(True)  # decayed weights otherwise slow some processors tenfold
         try:
-            self._warm_up()
+            self._healthy = self._warm_up()
+            self._warm.set()
             while jobs := self._take():
                 self._serve(jobs)
         finally:
-            self._warm.clear()
+            self._warm.set()
             self._give_up()
 
-    def _warm_up(self) -> None:
-        """Forecast a person at rest in every size of batch, so that no caller pays for it."""
-        size = 1
-        while True:
-            pose = np.random.default_rng(size).normal(size=(size, 1, self.spec.joints, 3))
-            try:
-                self.decoders.forecast(np.repeat(pose, self.spec.observe, axis=1))
-            except NET_FAILURES:
-                log.exception("the net fails; forecasts will be fallbacks")
-                return
-            if size >= self._batch:
-                break
-            size = min(2 * size, self._batch)
-        self._warm.set()
+    def _warm_up(self) -> bool:
+        """Forecast in every size of batch, so that no caller pays for it; tells if that works."""
+        sizes = [1]
+        while sizes[-1] < self._batch:
+            sizes.append(min(2 * sizes[-1], self._batch))
+        shape = (self.spec.observe, self.spec.joints, 3)
+        try:
+            for size in sizes:
+                self.decoders.forecast(np.zeros((size, *shape)))
+        except NET_FAILURES as error:
+            self._report(error)
+            return False
+        return True
 
     def _take(self) -> list[_Job]:
         """Take whoever waits, at least one; nobody when it is time to stop."""
@@ -286,7 +288,9 @@ class Engine:
         now = time.perf_counter()
         if now - self._last_log >= LOG_EVERY_S:
             self._last_log = now
-            log.error("the net failed on a window", exc_info=error)
+            # no exc_info: renderers that print local variables would log whole poses
+            trace = "".join(traceback.format_exception(error))
+            log.error("the net failed; forecasts are fallbacks", trace=trace)
 
     def _judge(
         self,

@@ -71,9 +71,9 @@ def _combine(*terms: tuple[int, float]) -> Float[np.ndarray, "20"]:
 
 
 _CUES: tuple[tuple[float, Float[np.ndarray, "20"]], ...] = (
-    (25.0, _combine((LEFT_FOOT, 0.5), (RIGHT_FOOT, 0.5), (LEFT_ANKLE, -0.5), (RIGHT_ANKLE, -0.5))),
+    (23.0, _combine((LEFT_FOOT, 0.5), (RIGHT_FOOT, 0.5), (LEFT_ANKLE, -0.5), (RIGHT_ANKLE, -0.5))),
     (
-        6.0,
+        5.0,
         _combine((LEFT_KNEE, 0.5), (LEFT_HIP, -0.25), (LEFT_ANKLE, -0.25))
         + _combine((RIGHT_KNEE, 0.5), (RIGHT_HIP, -0.25), (RIGHT_ANKLE, -0.25)),
     ),
@@ -83,12 +83,12 @@ _CUES: tuple[tuple[float, Float[np.ndarray, "20"]], ...] = (
         + _combine((RIGHT_ELBOW, 0.5), (RIGHT_SHOULDER, -0.25), (RIGHT_WRIST, -0.25)),
     ),
     (
-        13.5,
+        12.5,
         _combine((LEFT_WRIST, 1.0), (RIGHT_WRIST, 1.0))
         + _combine((LEFT_SHOULDER, -1.0), (RIGHT_SHOULDER, -1.0)),
     ),
-    (10.0, _combine((HEAD, 1.0), (SHOULDER_CENTER, -1.0))),
-    (-16.0, _combine((SPINE, 1.0), (HIP_CENTER, -0.5), (SHOULDER_CENTER, -0.5))),
+    (12.0, _combine((HEAD, 1.0), (SHOULDER_CENTER, -1.0))),
+    (-17.0, _combine((SPINE, 1.0), (HIP_CENTER, -0.5), (SHOULDER_CENTER, -0.5))),
 )
 """What points forwards on a person, with its weight: toes, knees, hands and head do, elbows and the
 bow of the spine point backwards. Odd under a swap of sides, so one line through 0 separates them.
@@ -120,8 +120,14 @@ def measure_body(pose: Float[np.ndarray, "20 3"]) -> tuple[float, float, float, 
     torso = max(_length(rows[8]), 0.1)
     shoulders, hips = rows[6], rows[7]
     lateral = shoulders / max(_length(shoulders), 0.05) + hips / max(_length(hips), 0.05)
-    # forward = left x up, as y is up: (x, y, z) x (0, 1, 0)
-    forward = np.array([-lateral[2], 0.0, lateral[0]])
+    spine = rows[8]  # the body's own up, so that who lies down or stands on the head has a front
+    forward = np.array(
+        [
+            lateral[1] * spine[2] - lateral[2] * spine[1],
+            lateral[2] * spine[0] - lateral[0] * spine[2],
+            lateral[0] * spine[1] - lateral[1] * spine[0],
+        ]
+    )
     forward /= max(_length(forward), 1e-6)
     cues = np.clip(rows[:6] @ forward / torso, -_CUE_LIMIT, _CUE_LIMIT)
     return (

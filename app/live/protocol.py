@@ -130,7 +130,7 @@ class Observation:
     seq: int
     t: float
     joints: Float[np.ndarray, "joint 3"] | None
-    confidence: Float[np.ndarray, " joint"] | None
+    confidence: Float[np.ndarray, " number"] | None
     replay: bool
 
 

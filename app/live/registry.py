@@ -5,7 +5,7 @@ import time
 from collections import Counter
 from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 from uuid import UUID
 
 import structlog
@@ -36,6 +36,7 @@ _REASONS: dict[Verdict, type[KinecastError]] = {
 log = structlog.get_logger(__name__)
 
 
+@runtime_checkable
 class LiveStream(Protocol):
     """What the registry needs of a connection."""
 

@@ -159,7 +159,7 @@ class Session:
         Gives an error in its place if it became too old, and nothing if the frame is accounted for
         already or the client's frame of reference or clock has changed since.
         """
-        age_ms = self._clock.age_ms(ticket.ready.t, now)
+        age_ms = (now - ticket.born) * 1e3
         if age_ms > self.settings.max_age_ms:
             return self._tell_stale(ticket.seq, age_ms) if self._ledger.drop(ticket.seq) else []
         counts = self._ledger.settle(ticket.seq)
@@ -276,7 +276,7 @@ class Session:
         is_late = age_ms > LATE_SHARE * self.settings.max_age_ms
         request = EngineRequest(ready.window, self.settings.version, self.settings.coverage)
         flags = ("late_input",) if is_late else ()
-        return [Submit(request, Ticket(frame.seq, ready, flags))]
+        return [Submit(request, Ticket(frame.seq, ready, flags, born=now - age_ms / 1e3))]
 
     def _wait(self, frame: Observation, waiting: Waiting, now: float) -> list[Action]:
         self._telemetry.count_frames("waiting")

@@ -113,7 +113,7 @@ class FrameBuffer:
         self,
         t: float,
         joints: Float[np.ndarray, "joint 3"] | None,
-        confidence: Float[np.ndarray, " joint"] | None = None,
+        confidence: Float[np.ndarray, " number"] | None = None,
     ) -> Restart | None:
         """Take one frame.
 
@@ -169,8 +169,8 @@ class FrameBuffer:
         self,
         t: float,
         joints: Float[np.ndarray, "joint 3"] | None,
-        confidence: Float[np.ndarray, " joint"] | None,
-    ) -> Bool[np.ndarray, " joint"]:
+        confidence: Float[np.ndarray, " number"] | None,
+    ) -> Bool[np.ndarray, " known"]:
         """Refuse a frame before it has changed anything; tell which joints it knows."""
         if not math.isfinite(t):
             raise BadFrameError("t must be a finite number of seconds.")
@@ -181,7 +181,7 @@ class FrameBuffer:
         if joints is None:
             return np.zeros(self._joints, dtype=bool)
         check_joints(joints, self._joints, coordinate_max_m=self.rules.coordinate_max_m)
-        known: Bool[np.ndarray, " joint"] = ~np.isnan(joints).any(axis=1)
+        known: Bool[np.ndarray, " known"] = ~np.isnan(joints).any(axis=1)
         if confidence is not None:
             known &= confidence >= self.rules.confidence_min
         return known
@@ -236,8 +236,8 @@ class FrameBuffer:
 
 def assemble(
     frames: Float[np.ndarray, "time joint 3"],
-    t: Float[np.ndarray, " time"] | None,
-    confidence: Float[np.ndarray, "time joint"] | None,
+    t: Float[np.ndarray, " times"] | None,
+    confidence: Float[np.ndarray, "confidences number"] | None,
     *,
     skeleton: Skeleton,
     up: str,
