@@ -13,8 +13,8 @@ from torch import Tensor
 from models.normalize import heading_rotation
 from models.skeleton import HIP_CENTER, KINECT_V1, topological_levels
 
-_LIMBS = ((5, 6, 7), (9, 10, 11), (13, 14, 15), (17, 18, 19))
-_LIMB_OF_JOINT = [[float(joint in limb) for joint in range(20)] for limb in _LIMBS]
+_PARTS = ((5, 6, 7), (9, 10, 11), (13, 14, 15), (17, 18, 19), (0, 1, 4, 8))
+_PART_OF_JOINT = [[float(joint in part) for joint in range(20)] for part in _PARTS]
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,26 +33,26 @@ class Augmentation:
         tempo: speed of the motion, uniform within 1 plus or minus this, where the clip is long
             enough (applied when the window is cut).
         reverse: probability of playing the window backwards.
-        flicker: probability of limbs that the sensor does not see well: they wander through the
-            whole window, so that nothing but holding still forecasts them.
-        flicker_m: how far a limb wanders in a frame, uniform up to this deviation.
+        flicker: probability of parts of the body that the sensor does not see well: they wander or
+            flip to and fro through the whole window, and nothing but their middle forecasts them.
+        flicker_m: how far a part wanders in a frame, uniform up to this deviation.
         mix: probability of blending a window with another one of the batch, in canonical place and
             heading, by a uniform share (mixup, Zhang et al. 2018).
     """
 
     mirror: float = 0.5
     yaw_rad: float = 0.1
-    tilt_rad: float = 0.06
+    tilt_rad: float = 0.04
     scale: float = 0.1
     bones: float = 0.06
-    offset_m: float = 0.006
-    noise_m: float = 0.003
+    offset_m: float = 0.003
+    noise_m: float = 0.002
     still: float = 0.01
     tempo: float = 0.15
     reverse: float = 0.0
-    flicker: float = 0.0
+    flicker: float = 0.25
     flicker_m: float = 0.012
-    mix: float = 0.0
+    mix: float = 0.5
 
 
 def augment(
@@ -141,20 +141,20 @@ def _turn(windows: Tensor, config: Augmentation) -> Tensor:
 
 
 def _flicker(windows: Tensor, config: Augmentation) -> Tensor:
-    """Let one or more limbs wander: steps that fade at a rate between at once and never."""
+    """Let parts of the body wander: autoregressive noise, from flipping to a random walk."""
     if config.flicker == 0.0:
         return windows
     count, length = windows.shape[:2]
     device = windows.device
-    keep = torch.rand(count, 1, 1, device=device)
+    keep = 1 - 1.7 * torch.rand(count, 1, 1, device=device)
     size = config.flicker_m * torch.rand(count, 1, 1, device=device)
     steps = torch.randn(length, *windows[:, 0].shape, device=device) * size
-    wander = [steps[0] / (1 - 0.9 * keep)]  # about as far as it will have come
+    wander = [steps[0] / (1 - 0.9 * keep.abs())]  # about as far as it will have come
     for step in steps[1:]:
         wander.append(keep * wander[-1] + step)
-    unseen = torch.rand(count, 1, len(_LIMBS), device=device) < 0.4
-    limbs = unseen.float() @ torch.tensor(_LIMB_OF_JOINT, device=device)
-    hit = limbs[..., None] * _coin(windows, config.flicker)
+    unseen = torch.rand(count, 1, len(_PARTS), device=device) < 0.4
+    joints = unseen.float() @ torch.tensor(_PART_OF_JOINT, device=device)
+    hit = joints[..., None] * _coin(windows, config.flicker)
     return windows + hit * torch.stack(wander, dim=1)
 
 

@@ -35,21 +35,21 @@ class PretrainConfig:
 
     net: NetConfig = field(default_factory=NetConfig)
     augmentation: Augmentation = field(default_factory=Augmentation)
-    steps: int = 12_000
-    batch: int = 256
+    steps: int = 2_500
+    batch: int = 128
     learning_rate: float = 2e-3
     warm_up: float = 0.15
-    weight_decay: float = 1e-2
+    weight_decay: float = 5e-2
     clip: float = 1.0
-    average: float = 0.999
+    average: float = 0.998
     adversarial_weight: float = 1e-3
     adversarial_start: float = 0.1
     adversary_rate: float = 5e-4
     adversary_hidden: int = 64
-    shares: dict[str, float] = field(default_factory=lambda: {"utd-mhad": 0.5})
+    shares: dict[str, float] = field(default_factory=lambda: {"utd-mhad": 0.45, "precog": 0.15})
     pools: tuple[tuple[str, ...], ...] = (("utd-mhad", "precog"),)
     seed: int = 0
-    evaluate_every: int = 1_000
+    evaluate_every: int = 500
     patience: int | None = None
 
     def __post_init__(self) -> None:

@@ -76,8 +76,8 @@ def test_flickering_limbs_wander_and_the_trunk_stays(synthetic_windows: torch.Te
     torch.manual_seed(0)
     changed = augment(synthetic_windows, replace(OFF, flicker=1.0, flicker_m=0.02), observe=15)
     moved = (changed - synthetic_windows).norm(dim=-1)
-    assert moved[:, :, [0, 1, 2, HIP_CENTER, 4, 8, 12, 16]].max() < 1e-5
-    limbs = moved[:, :, [7, 11, 15, 19]].amax(dim=1) > 1e-4
+    assert moved[:, :, [2, HIP_CENTER, 12, 16]].max() < 1e-5
+    limbs = moved[:, :, [7, 11, 15, 19, 0]].amax(dim=1) > 1e-4
     assert 0.2 < limbs.float().mean() < 0.6
     assert (limbs.any(dim=1) & ~limbs.all(dim=1)).any()
 
