@@ -30,15 +30,18 @@ def serve(
     """Serve forecasts over HTTP and WebSocket; migrates the database first."""
     del no_worker  # accepted for scripts; there is nothing to leave out yet
     settings = load_settings(host=host, port=port, data_dir=data_dir)
-    listener = _listen(settings)
-    address = _name_address(listener)
+    with _listen(settings) as listener:  # before anything slow happens
+        _run(settings, listener)
 
+
+def _run(settings: Settings, listener: socket.socket) -> None:
     from app.logs import configure_logs  # noqa: PLC0415 - slow to import
     from app.main import create_app  # noqa: PLC0415
     from app.server import make_server  # noqa: PLC0415
 
     configure_logs(settings)
     where_key_is = asyncio.run(_prepare(settings))
+    address = _name_address(listener)
     server = make_server(
         create_app(settings), settings, on_ready=lambda: _greet(address, where_key_is)
     )
@@ -48,7 +51,7 @@ def serve(
 
 
 def _listen(settings: Settings) -> socket.socket:
-    """Take the port before anything slow happens."""
+    """Take the port, or say in one line why not."""
     family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
     try:
         return socket.create_server((settings.host, settings.port), family=family, backlog=2048)
