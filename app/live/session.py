@@ -33,7 +33,7 @@ from app.live.accounting import ErrorBudget, Ledger, RateLimit
 from app.live.actions import Action, End, Identity, Send, Submit, Ticket, describe
 from app.live.clock import ClientClock
 from app.live.forecasting import make_answer
-from app.live.frames import WindowRules
+from app.live.frames import SNAP_S, WindowRules
 from app.live.protocol import (
     ClientMessage,
     ClientPong,
@@ -336,7 +336,7 @@ class Session:
         return Send(describe(error, seq))
 
     def _is_time(self, what: str, now: float) -> bool:
-        return now - self._told_at.get(what, -math.inf) >= REPEAT_S
+        return now - self._told_at.get(what, -math.inf) >= REPEAT_S - SNAP_S
 
     def _flag_version(self, version: VersionStamp) -> list[str]:
         flags = []

@@ -1,0 +1,150 @@
+import asyncio
+import json
+import time
+from collections.abc import AsyncIterator
+from uuid import uuid4
+
+import pytest
+import pytest_asyncio
+
+from app.domain.errors import DrainingError, KinecastError
+from app.domain.streams import OpenStream
+from app.live.codec import Codec
+from app.live.connection import STALL_S, Connection, GoneError
+from app.live.decoders import Decoders
+from app.live.engine import Engine
+from app.live.outbox import FULL, Outbox
+from app.live.protocol import JSON, Bye
+from app.live.session import Session
+from models.baselines import ZeroVelocity
+from tests.unit.app.live.test_session import PERSON, make_session
+
+CODEC = Codec(JSON, joints=20)
+
+
+class FakeSocket:
+    """A client in memory: it sends what it is given and may stop taking anything."""
+
+    def __init__(self) -> None:
+        self.inbox: asyncio.Queue[str | None] = asyncio.Queue()
+        self.taken: list[dict[str, object]] = []
+        self.reads = asyncio.Event()
+        self.reads.set()
+        self.refused: KinecastError | None = None
+
+    async def receive(self) -> str | bytes:
+        data = await self.inbox.get()
+        if data is None:
+            raise GoneError
+        return data
+
+    async def send(self, data: bytes) -> None:
+        await self.reads.wait()
+        self.taken.append(json.loads(data))
+
+    async def refuse(self, error: KinecastError, codec: Codec) -> None:
+        await self.reads.wait()
+        self.refused = error
+
+    def show(self, seq: int) -> None:
+        joints = PERSON[seq % 60].tolist()
+        frame = {"type": "frame", "seq": seq, "t": seq / 30, "joints": joints}
+        self.inbox.put_nowait(json.dumps(frame))
+
+
+class Fixture:
+    def __init__(self, engine: Engine) -> None:
+        self.socket = FakeSocket()
+        self.session: Session = make_session(now=time.monotonic())
+        stream = OpenStream(user_uuid=uuid4(), key_id=uuid4(), session="s", epoch=1)
+        self.connection = Connection(self.socket, CODEC, self.session, engine, stream)
+        self.task = asyncio.create_task(self.connection.run())
+
+    async def until(self, condition) -> None:
+        async with asyncio.timeout(10):
+            while not condition():  # noqa: ASYNC110 - it waits for what the client has seen
+                await asyncio.sleep(0.002)
+
+
+@pytest_asyncio.fixture
+async def live() -> AsyncIterator[Fixture]:
+    engine = Engine(Decoders(ZeroVelocity(15), base_sha256="ab"), batch=2)
+    engine.start()
+    engine.wait_ready(10.0)
+    fixture = Fixture(engine)
+    yield fixture
+    fixture.task.cancel()
+    await asyncio.gather(fixture.task, return_exceptions=True)
+    engine.stop()
+
+
+@pytest.mark.asyncio
+async def test_frames_go_through_the_engine_and_come_back(live: Fixture) -> None:
+    for seq in range(16):
+        live.socket.show(seq)
+    await live.until(lambda: live.socket.taken[-1:] and live.socket.taken[-1].get("seq") == 15)
+    assert live.socket.taken[0]["type"] == "hello"
+    assert live.socket.taken[-1]["type"] == "forecast"
+    live.socket.inbox.put_nowait(None)
+    await live.task
+    assert live.connection.closed.is_set()
+
+
+@pytest.mark.asyncio
+async def test_a_client_that_takes_nothing_keeps_one_forecast_and_is_given_up(
+    live: Fixture,
+) -> None:
+    for seq in range(15):
+        live.socket.show(seq)
+    await live.until(lambda: len(live.socket.taken) >= 3)
+    live.socket.reads.clear()
+    outbox = live.connection._outbox
+    for seq in range(15, 60):
+        live.socket.show(seq)
+        await asyncio.sleep(0.005)
+    await live.until(live.socket.inbox.empty)
+    assert len(outbox) < 5
+    live.connection.tick(time.monotonic())
+    assert not live.task.done()
+    live.connection.tick(time.monotonic() + STALL_S + 1)
+    await live.until(live.connection.closed.is_set)
+    assert live.task.done()
+
+
+@pytest.mark.asyncio
+async def test_replies_that_nobody_takes_hold_up_the_reader(live: Fixture) -> None:
+    await live.until(lambda: live.socket.taken)
+    live.socket.reads.clear()
+    for i in range(FULL + 50):
+        live.socket.inbox.put_nowait(json.dumps({"type": "ping", "id": i, "t": 0.0}))
+    # the limit of messages a second ends it sooner or later; until then nothing piles up
+    await asyncio.sleep(0.2)
+    assert len(live.connection._outbox) <= FULL
+
+
+@pytest.mark.asyncio
+async def test_an_end_from_outside_is_told(live: Fixture) -> None:
+    live.connection.end(DrainingError())
+    await live.task
+    assert isinstance(live.socket.refused, DrainingError)
+
+
+@pytest.mark.asyncio
+async def test_a_client_that_vanishes_ends_the_stream(live: Fixture) -> None:
+    live.socket.inbox.put_nowait(None)
+    await live.task
+    assert live.socket.refused is None
+
+
+@pytest.mark.asyncio
+async def test_an_outbox_gives_messages_in_order_and_the_newest_forecast() -> None:
+    outbox = Outbox()
+    outbox.put(Bye("a", 0.0))
+    outbox.put(Bye("b", 0.0))
+    await outbox.wait_for_something()
+    assert [outbox.take_message().reason for _ in range(2)] == ["a", "b"]
+    assert outbox.take_message() is None
+    assert outbox.take_forecast() is None
+    outbox.end(DrainingError())
+    outbox.end(KinecastError())
+    assert isinstance(outbox.ending, DrainingError)

@@ -1,0 +1,147 @@
+import asyncio
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from uuid import UUID, uuid4
+
+import pytest
+
+from app.domain.errors import DrainingError, KinecastError, NotReadyError, TooFastError
+from app.domain.streams import OpenStream, Verdict
+from app.live.registry import Registry
+from app.live.telemetry import Telemetry
+from tests.unit.app.live.test_session import LIMITS
+
+USER, KEY = uuid4(), uuid4()
+
+
+class FakeStream:
+    """An open stream that notes what is done to it."""
+
+    def __init__(self, epoch: int = 1, *, session: str = "s", user: UUID = USER) -> None:
+        self.stream = OpenStream(user_uuid=user, key_id=KEY, session=session, epoch=epoch)
+        self.closed = asyncio.Event()
+        self.ended: KinecastError | None = None
+        self.unconfirmed = False
+        self.ticks = 0
+
+    def end(self, error: KinecastError) -> None:
+        self.ended = error
+        self.closed.set()
+
+    def tick(self, now: float) -> None:
+        self.ticks += 1
+
+    def set_unconfirmed(self, *, unconfirmed: bool) -> None:
+        self.unconfirmed = unconfirmed
+
+
+class FakeDatabase:
+    """Judges streams as it is told, or is away."""
+
+    def __init__(self) -> None:
+        self.verdicts: dict[OpenStream, Verdict] = {}
+        self.away = False
+
+    async def watch(self, streams: Sequence[OpenStream]) -> Mapping[OpenStream, Verdict]:
+        if self.away:
+            raise NotReadyError
+        return {stream: self.verdicts[stream] for stream in streams if stream in self.verdicts}
+
+
+@pytest.fixture
+def database() -> FakeDatabase:
+    return FakeDatabase()
+
+
+@pytest.fixture
+def registry(database: FakeDatabase) -> Registry:
+    return Registry(database.watch, limits=LIMITS, telemetry=Telemetry())
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize(
+    ("verdict", "code"),
+    [
+        (Verdict.FENCED, "fenced"),
+        (Verdict.USER_DELETED, "user_deleted"),
+        (Verdict.KEY_REVOKED, "unauthorized"),
+    ],
+)
+async def test_a_verdict_ends_its_stream_only(registry, database, verdict, code) -> None:
+    judged, other = FakeStream(session="a"), FakeStream(session="b")
+    database.verdicts[judged.stream] = verdict
+    with registry.keep(judged), registry.keep(other):
+        await registry.check(1.0)
+    assert judged.ended.code == code
+    assert other.ended is None
+
+
+@pytest.mark.asyncio
+async def test_a_newer_stream_fences_the_older_one_of_this_process_at_once(registry) -> None:
+    old, elsewhere, new = FakeStream(1), FakeStream(1, user=uuid4()), FakeStream(2)
+    with registry.keep(old), registry.keep(elsewhere), registry.keep(new):
+        assert old.ended.code == "fenced"
+        assert elsewhere.ended is None
+        assert new.ended is None
+        assert len(registry) == 3
+    assert len(registry) == 0
+
+
+@pytest.mark.asyncio
+async def test_without_the_database_streams_are_flagged_and_then_closed(registry, database) -> None:
+    stream = FakeStream()
+    with registry.keep(stream):
+        registry.start()
+        begin = asyncio.get_running_loop().time()
+        await registry.check(begin)
+        database.away = True
+        await registry.check(begin + 9)
+        assert not stream.unconfirmed
+        await registry.check(begin + 11)
+        assert stream.unconfirmed
+        database.away = False
+        await registry.check(begin + 12)
+        assert not stream.unconfirmed
+        database.away = True
+        await registry.check(begin + 71)
+        assert stream.ended is None
+        await registry.check(begin + 73)
+        assert stream.ended.code == "not_ready"
+        await registry.stop()
+
+
+@pytest.mark.asyncio
+async def test_keys_and_users_have_only_so_many_seats(registry) -> None:
+    with ExitStack() as stack:
+        for _ in range(LIMITS.streams_per_user):
+            stack.enter_context(registry.take_seat(key_id=KEY, user_uuid=USER))
+        with pytest.raises(TooFastError), registry.take_seat(key_id=uuid4(), user_uuid=USER):
+            pass
+        for _ in range(LIMITS.streams_per_key - LIMITS.streams_per_user):
+            stack.enter_context(registry.take_seat(key_id=KEY, user_uuid=uuid4()))
+        with pytest.raises(TooFastError), registry.take_seat(key_id=KEY, user_uuid=uuid4()):
+            pass
+    with registry.take_seat(key_id=KEY, user_uuid=USER):
+        pass
+
+
+@pytest.mark.asyncio
+async def test_draining_ends_every_stream_and_lets_no_other_in(registry) -> None:
+    streams = [FakeStream(session=str(i)) for i in range(3)]
+    with registry.keep(streams[0]), registry.keep(streams[1]), registry.keep(streams[2]):
+        await registry.drain(1.0)
+        assert {stream.ended.code for stream in streams} == {"draining"}
+    with pytest.raises(DrainingError), registry.keep(FakeStream()):
+        pass
+    with pytest.raises(DrainingError):
+        registry.refuse_when_draining()
+
+
+@pytest.mark.asyncio
+async def test_streams_are_ticked(registry) -> None:
+    stream = FakeStream()
+    with registry.keep(stream):
+        registry.start()
+        await asyncio.sleep(1.3)
+        await registry.stop()
+    assert stream.ticks >= 1
