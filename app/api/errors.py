@@ -46,7 +46,6 @@ ANSWERS: dict[type[KinecastError], Answer] = {
     errors.InvalidError: Answer(422, None),
     errors.TransportError: Answer(400, 4400),
     errors.MethodNotAllowedError: Answer(405, None),
-    errors.NotAcceptableError: Answer(406, None),
     errors.UnsupportedSubprotocolError: Answer(406, 4406),
     errors.IdleError: Answer(408, 4408),
     errors.TooLargeError: Answer(413, 4413),

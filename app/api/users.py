@@ -130,6 +130,7 @@ async def erase_user(
     audit_key: bytes = request.app.state.audit_key
     async with database.write() as tx:
         await users.erase(tx, user, actor=caller.key_id, audit_key=audit_key)
+    await database.forget_erased()
 
 
 @router.get(

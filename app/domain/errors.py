@@ -27,7 +27,6 @@ code an error gets is decided in one table, ``app.api.errors``.
     │   │   ├── SeqNotIncreasingError seq_not_increasing
     │   │   ├── TimeNotIncreasingError t_not_increasing
     │   │   ├── BadTimeUnitError      bad_time_unit
-    │   │   ├── ImplausibleUnitsError implausible_units
     │   │   └── StaleFrameError       stale_frame
     │   └── NoForecastError           no_forecast          frames are good, but not enough to go on
     │       ├── TooLittleHistoryError too_little_history
@@ -37,7 +36,6 @@ code an error gets is decided in one table, ``app.api.errors``.
     │   ├── BadMessageError           bad_message          not an object, or broken framing
     │   ├── TooManyErrorsError        too_many_errors
     │   ├── MethodNotAllowedError     method_not_allowed
-    │   ├── NotAcceptableError        not_acceptable
     │   ├── UnsupportedMediaTypeError unsupported_media_type
     │   ├── UnsupportedSubprotocolError unsupported_subprotocol
     │   ├── TooLargeError             too_large
@@ -264,13 +262,6 @@ class BadTimeUnitError(BadFrameError):
     title = "t is not in seconds"
 
 
-class ImplausibleUnitsError(BadFrameError):
-    """No human torso has this length in metres."""
-
-    code = "implausible_units"
-    title = "The coordinates are not in metres"
-
-
 class StaleFrameError(BadFrameError):
     """Older than ``max_age_ms``: a forecast from it would come too late."""
 
@@ -333,13 +324,6 @@ class MethodNotAllowedError(TransportError):
 
     code = "method_not_allowed"
     title = "This method is not allowed here"
-
-
-class NotAcceptableError(TransportError):
-    """No format that the caller takes."""
-
-    code = "not_acceptable"
-    title = "No such response format"
 
 
 class UnsupportedMediaTypeError(TransportError):

@@ -5,6 +5,8 @@ from uuid import UUID
 
 import pytest
 
+from tests.support import make_settings, run_service
+
 pytestmark = pytest.mark.asyncio
 
 
@@ -104,6 +106,15 @@ async def test_erased_user_is_gone_with_their_keys(service):
     assert (await service.call("DELETE", "/v1/users/ada")).status_code == 404
     forecast = await service.call("POST", "/v1/users/ada/forecast", key=key, json={})
     assert forecast.status_code == 401
+
+
+async def test_erased_user_is_in_no_file_any_more(tmp_path):
+    async with run_service(make_settings(tmp_path)) as service:
+        await service.add_user("somebody-unforgettable", display_name="Unforgettable Name")
+        files = list(tmp_path.glob("kinecast.sqlite3*"))
+        assert any(b"nforgettable" in path.read_bytes() for path in files)
+        await service.call("DELETE", "/v1/users/somebody-unforgettable")
+        assert not any(b"nforgettable" in path.read_bytes() for path in files)
 
 
 async def test_export_holds_the_user_and_what_was_done(service):
