@@ -47,6 +47,18 @@ LAZY = (
         "evaluate_command",
         "Print the error table of a model on recordings.",
     ),
+    Lazy(
+        "demo",
+        "app.commands.demo.command",
+        "demo_command",
+        "Stream synthetic people and show how well they are foreseen.",
+    ),
+    Lazy(
+        "bench",
+        "app.commands.bench.command",
+        "app",
+        "Measure the service, or the forecaster alone.",
+    ),
 )
 
 app = typer.Typer(

@@ -1,0 +1,1 @@
+"""A client of the service's v1 interface. It imports nothing of the service."""

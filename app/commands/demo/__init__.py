@@ -1,0 +1,1 @@
+"""`kinecast demo`: synthetic people streamed to a service, and how well it foresees them."""
