@@ -10,7 +10,7 @@ TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 TORCH := torch==2.13.0
 
 .DEFAULT_GOAL := help
-.PHONY: help serve test lint types imports check-migrations unit clean
+.PHONY: reproduce help serve test lint types imports check-migrations unit clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
@@ -53,6 +53,10 @@ check-migrations: $(VENV)/.test ## the migrations give exactly the tables of the
 
 unit: $(VENV)/.test ## all tests with branch coverage (ARGS="-k stream" for some)
 	$(BIN)/pytest --cov --cov-report=term $(ARGS)
+
+SHARED ?= ../shared/data
+reproduce: $(VENV)/.test ## train the shipped base again, once unbroken and once killed and resumed (about 20 min)
+	$(BIN)/python -m benchmarks.reproduce --data $(SHARED)/utd-mhad --mix $(SHARED)/more-people
 
 clean: ## remove the virtual environment and caches
 	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .hypothesis build *.egg-info
