@@ -78,10 +78,15 @@ def check_joints(
     """
     if joints.shape[-2] != count:
         raise WrongJointCountError(f"{count} joints are expected, got {joints.shape[-2]}.")
-    if (np.abs(joints) > coordinate_max_m).any():  # NaN, a missing joint, is not
+    if not is_within(joints, coordinate_max_m) and (np.abs(joints) > coordinate_max_m).any():
         raise BadFrameError(
             f"A coordinate is infinite or beyond {coordinate_max_m:g} m. Are these metres?"
         )
+
+
+def is_within(joints: Float[np.ndarray, "*time joint 3"], limit: float) -> bool:
+    """Tell whether every coordinate is a number up to `limit`; NaN, a missing joint, is not."""
+    return bool(joints.size and -limit <= joints.min() and joints.max() <= limit)
 
 
 def check_confidence(confidence: Float[np.ndarray, "*time joint"], count: int) -> None:

@@ -154,9 +154,9 @@ def judge_body(
         whole: these frames are all that there will ever be (a single request), so a head below the
             hips in all of them is enough.
     """
-    recent = times >= times[-1] - max(rules.upside_down_s, 1e-9)
-    facts = facts[recent]
-    torso, _, facing, order = np.median(facts, axis=0)
+    begin = int(np.searchsorted(times, times[-1] - rules.upside_down_s))
+    facts = facts[begin:]
+    torso, _, facing, order = facts.mean(axis=0).tolist()
     flags = []
     if order < 0:
         flags.append("implausible_pose")
@@ -165,8 +165,8 @@ def judge_body(
     if facing < -rules.facing_min:
         flags.append("mirrored")
     # a frame before the second began shows that all of it was seen
-    seen_enough = whole or not bool(recent[0]) or times[-1] - times[0] >= rules.upside_down_s
-    if seen_enough and bool((facts[:, _UPRIGHT] < 0).all()):
+    seen_enough = whole or begin > 0 or times[-1] - times[0] >= rules.upside_down_s
+    if seen_enough and facts[:, _UPRIGHT].max() < 0:
         flags.append("upside_down")
     return tuple(flags)
 

@@ -43,7 +43,8 @@ class History:
         self._seen_t = np.full(joints, -math.inf)
         self._mended_t = np.full(joints, -math.inf)
         self._offsets = np.full((joints, 3), math.nan)
-        self._root_t = -math.inf
+        self._root_t = self._whole_since = -math.inf
+        self._is_whole = True
         self.lost = True
 
     def __len__(self) -> int:
@@ -82,7 +83,8 @@ class History:
         Returns:
             Whether the hips are back after so long that everything before was forgotten.
         """
-        has_root = bool(known[self._of_root].all())
+        is_whole = bool(known.all())
+        has_root = is_whole or bool(known[self._of_root].all())
         too_long = t - self._root_t > self._rules.gap_s + SNAP_S
         forgotten = has_root and too_long and len(self) > 0
         if forgotten:
@@ -91,9 +93,12 @@ class History:
             self._root_t = t
         hidden = t - self._root_t > self._rules.missing_max_s + SNAP_S
         self.lost = hidden or 2 * int(np.count_nonzero(known)) < len(known)
-        self._append(t, joints if known.all() else self._fill(joints, known, has_root=has_root))
-        if has_root:
+        self._append(t, joints if is_whole else self._fill(joints, known, has_root=has_root))
+        if not (is_whole and self._is_whole):
             self._mend(t, known)
+            self._whole_since = math.inf if not is_whole else t
+        self._is_whole = is_whole
+        if has_root:
             pose = self._poses[self._end - 1]
             self._offsets[known] = pose[known] - self._root @ pose
         self._seen_t[known] = t
@@ -102,6 +107,8 @@ class History:
     def list_filled(self, *, since_s: float) -> tuple[str, ...]:
         """Name the joints that were missing for too long in the last `since_s` seconds."""
         newest, oldest = self.times[-1], self.times[0]
+        if newest - self._whole_since > since_s:
+            return ()
         absent = newest - np.maximum(self._seen_t, oldest)
         missing = (absent > self._rules.missing_max_s + SNAP_S) | np.isinf(self._seen_t)
         mended = self._mended_t > newest - since_s

@@ -253,14 +253,14 @@ class Session:
     def _respond(self, frame: Observation, now: float) -> list[Action]:
         """Have a frame forecast, or say why not."""
         age_ms = self._clock.observe(frame.t, now)
-        outcome = self._buffer.look()
         if self._buffer.time_unit_is_wrong:
             return self._tell_time_unit(frame.seq, now)
+        if age_ms > self.settings.max_age_ms:  # first, so that a backlog is soon worked off
+            return self._tell_stale(frame.seq, age_ms)
+        outcome = self._buffer.look()
         if isinstance(outcome, Waiting):
             return self._wait(frame, outcome, now)
         self._waiting = None
-        if age_ms > self.settings.max_age_ms:
-            return self._tell_stale(frame.seq, age_ms)
         return self._ask(frame, outcome, age_ms, now)
 
     def _ask(

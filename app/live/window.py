@@ -30,6 +30,7 @@ from app.live.frames import (
     check_confidence,
     check_joints,
     check_times,
+    is_within,
 )
 from app.live.history import CAPACITY, History
 from models.skeleton import Skeleton
@@ -180,8 +181,11 @@ class FrameBuffer:
             check_confidence(confidence, self._joints)
         if joints is None:
             return np.zeros(self._joints, dtype=bool)
-        check_joints(joints, self._joints, coordinate_max_m=self.rules.coordinate_max_m)
-        known: Bool[np.ndarray, " known"] = ~np.isnan(joints).any(axis=1)
+        limit = self.rules.coordinate_max_m
+        known = np.ones(self._joints, dtype=bool)
+        if len(joints) != self._joints or not is_within(joints, limit):
+            check_joints(joints, self._joints, coordinate_max_m=limit)
+            known = ~np.isnan(joints).any(axis=1)
         if confidence is not None:
             known &= confidence >= self.rules.confidence_min
         return known
