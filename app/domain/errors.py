@@ -78,119 +78,86 @@ class KinecastError(Exception):
     title: ClassVar[str] = "Something went wrong"
     retryable: ClassVar[bool] = False
 
+    def __init_subclass__(cls, *, code: str, title: str, retryable: bool | None = None) -> None:
+        cls.code, cls.title = code, title
+        if retryable is not None:
+            cls.retryable = retryable
+
     def __init__(self, message: str | None = None) -> None:
         self.message = message or self.title
         super().__init__(self.message)
 
 
-class DeniedError(KinecastError):
+class DeniedError(KinecastError, code="denied", title="Access denied"):
     """The caller may not do this."""
 
-    code = "denied"
-    title = "Access denied"
 
-
-class UnauthorizedError(DeniedError):
+class UnauthorizedError(DeniedError, code="unauthorized", title="A valid API key is needed"):
     """No key, an unknown key, a wrong secret or a revoked key: the answer never says which."""
 
-    code = "unauthorized"
-    title = "A valid API key is needed"
 
-
-class ForbiddenError(DeniedError):
+class ForbiddenError(DeniedError, code="forbidden", title="This key may not do that"):
     """The key lacks a scope, or is bound to another user."""
 
-    code = "forbidden"
-    title = "This key may not do that"
 
-
-class MissingError(KinecastError):
+class MissingError(KinecastError, code="not_found", title="Not found"):
     """No such page or row."""
 
-    code = "not_found"
-    title = "Not found"
 
-
-class UnknownUserError(MissingError):
+class UnknownUserError(MissingError, code="unknown_user", title="No such user"):
     """No user of that id."""
 
-    code = "unknown_user"
-    title = "No such user"
 
-
-class UnknownKeyError(MissingError):
+class UnknownKeyError(MissingError, code="unknown_key", title="No such key"):
     """No API key of that id."""
 
-    code = "unknown_key"
-    title = "No such key"
 
-
-class UnknownVersionError(MissingError):
+class UnknownVersionError(MissingError, code="unknown_version", title="No such version"):
     """This user never had a version of that number."""
 
-    code = "unknown_version"
-    title = "No such version"
 
-
-class ConflictError(KinecastError):
+class ConflictError(KinecastError, code="conflict", title="In conflict with what is stored"):
     """What is stored does not allow this now."""
 
-    code = "conflict"
-    title = "In conflict with what is stored"
 
-
-class UserExistsError(ConflictError):
+class UserExistsError(ConflictError, code="user_exists", title="A user of this id exists"):
     """The id is taken."""
 
-    code = "user_exists"
-    title = "A user of this id exists"
 
-
-class VersionUnavailableError(ConflictError):
+class VersionUnavailableError(
+    ConflictError, code="version_unavailable", title="The pinned version cannot be used"
+):
     """A pinned version cannot be used; it is never replaced silently."""
 
-    code = "version_unavailable"
-    title = "The pinned version cannot be used"
 
-
-class TrialUnavailableError(ConflictError):
+class TrialUnavailableError(
+    ConflictError, code="trial_unavailable", title="Recording is not enabled on this server"
+):
     """A recording was asked for where none can be made."""
 
-    code = "trial_unavailable"
-    title = "Recording is not enabled on this server"
 
-
-class FencedError(ConflictError):
+class FencedError(ConflictError, code="fenced", title="A newer stream took this session over"):
     """A newer stream took this session's name over; this one must not come back by itself."""
 
-    code = "fenced"
-    title = "A newer stream took this session over"
 
-
-class InvalidError(KinecastError):
+class InvalidError(KinecastError, code="invalid_request", title="The request is not valid"):
     """The request is understood and wrong.
 
     Attributes:
         errors: each wrong place; empty where the message says it all.
     """
 
-    code = "invalid_request"
-    title = "The request is not valid"
-
     def __init__(self, message: str | None = None, *, errors: tuple[FieldError, ...] = ()) -> None:
         super().__init__(message)
         self.errors = errors
 
 
-class LimitExceededError(InvalidError):
+class LimitExceededError(InvalidError, code="limit_exceeded", title="A limit is exceeded"):
     """More than a limit of ``GET /v1/limits`` allows.
 
     Attributes:
         limit: name of the limit.
     """
-
-    code = "limit_exceeded"
-    title = "A limit is exceeded"
 
     def __init__(
         self, message: str | None = None, *, limit: str, errors: tuple[FieldError, ...] = ()
@@ -199,246 +166,175 @@ class LimitExceededError(InvalidError):
         self.limit = limit
 
 
-class UnknownFieldError(InvalidError):
+class UnknownFieldError(InvalidError, code="unknown_field", title="Unknown field"):
     """A field that the server does not know: refused, so that a typing error cannot pass."""
 
-    code = "unknown_field"
-    title = "Unknown field"
 
-
-class BadConfigureError(InvalidError):
+class BadConfigureError(
+    InvalidError, code="bad_configure", title="These stream settings are not valid"
+):
     """Settings of a stream that make no sense."""
 
-    code = "bad_configure"
-    title = "These stream settings are not valid"
 
-
-class LayoutMismatchError(InvalidError):
+class LayoutMismatchError(
+    InvalidError,
+    code="layout_mismatch",
+    title="The joint names are not those of the user's skeleton",
+):
     """The client's joint names are not those of the user's skeleton."""
 
-    code = "layout_mismatch"
-    title = "The joint names are not those of the user's skeleton"
 
-
-class BadFrameError(InvalidError):
+class BadFrameError(InvalidError, code="bad_frame", title="The frame is not valid"):
     """Coordinates, times or confidences that no sensor can have meant."""
 
-    code = "bad_frame"
-    title = "The frame is not valid"
 
-
-class NanInJsonError(BadFrameError):
+class NanInJsonError(
+    BadFrameError,
+    code="nan_in_json",
+    title="JSON has no NaN or Infinity: send null in place of a missing joint",
+):
     """NaN or Infinity in JSON, where they do not exist."""
 
-    code = "nan_in_json"
-    title = "JSON has no NaN or Infinity: send null in place of a missing joint"
 
-
-class WrongJointCountError(BadFrameError):
+class WrongJointCountError(BadFrameError, code="wrong_joint_count", title="Wrong number of joints"):
     """Another number of joints than the user's skeleton has."""
 
-    code = "wrong_joint_count"
-    title = "Wrong number of joints"
 
-
-class SeqNotIncreasingError(BadFrameError):
+class SeqNotIncreasingError(BadFrameError, code="seq_not_increasing", title="seq must increase"):
     """``seq`` must grow with every frame, also over reconnects."""
 
-    code = "seq_not_increasing"
-    title = "seq must increase"
 
-
-class TimeNotIncreasingError(BadFrameError):
+class TimeNotIncreasingError(BadFrameError, code="t_not_increasing", title="t must increase"):
     """``t`` must grow with every frame."""
 
-    code = "t_not_increasing"
-    title = "t must increase"
 
-
-class BadTimeUnitError(BadFrameError):
+class BadTimeUnitError(BadFrameError, code="bad_time_unit", title="t is not in seconds"):
     """The steps of ``t`` are no seconds of a 12 to 120 Hz sensor."""
 
-    code = "bad_time_unit"
-    title = "t is not in seconds"
 
-
-class StaleFrameError(BadFrameError):
+class StaleFrameError(
+    BadFrameError, code="stale_frame", title="The frame is too old", retryable=True
+):
     """Older than ``max_age_ms``: a forecast from it would come too late."""
 
-    code = "stale_frame"
-    title = "The frame is too old"
-    retryable = True
 
-
-class NoForecastError(InvalidError):
+class NoForecastError(
+    InvalidError, code="no_forecast", title="No forecast is possible from these frames"
+):
     """The frames are good, but nothing can be forecast from them."""
 
-    code = "no_forecast"
-    title = "No forecast is possible from these frames"
 
-
-class TooLittleHistoryError(NoForecastError):
+class TooLittleHistoryError(
+    NoForecastError, code="too_little_history", title="The frames span too little time"
+):
     """The frames span less than a window."""
 
-    code = "too_little_history"
-    title = "The frames span too little time"
 
-
-class GapInHistoryError(NoForecastError):
+class GapInHistoryError(NoForecastError, code="gap_in_history", title="The window has a gap"):
     """Neighbouring frames are too far apart within the window."""
 
-    code = "gap_in_history"
-    title = "The window has a gap"
 
-
-class PersonLostError(NoForecastError):
+class PersonLostError(
+    NoForecastError, code="person_lost", title="The person is not seen well enough"
+):
     """No hip centre, or over half of the joints missing."""
 
-    code = "person_lost"
-    title = "The person is not seen well enough"
 
-
-class TransportError(KinecastError):
+class TransportError(KinecastError, code="bad_request", title="The request cannot be read"):
     """The request does not reach any meaning: framing, format, size or rate."""
 
-    code = "bad_request"
-    title = "The request cannot be read"
 
-
-class BadMessageError(TransportError):
+class BadMessageError(TransportError, code="bad_message", title="The message cannot be read"):
     """Not an object, or broken framing."""
 
-    code = "bad_message"
-    title = "The message cannot be read"
 
-
-class TooManyErrorsError(TransportError):
+class TooManyErrorsError(TransportError, code="too_many_errors", title="Too many wrong messages"):
     """A stream whose messages keep being wrong."""
 
-    code = "too_many_errors"
-    title = "Too many wrong messages"
 
-
-class MethodNotAllowedError(TransportError):
+class MethodNotAllowedError(
+    TransportError, code="method_not_allowed", title="This method is not allowed here"
+):
     """The page exists, not with this method."""
 
-    code = "method_not_allowed"
-    title = "This method is not allowed here"
 
-
-class UnsupportedMediaTypeError(TransportError):
+class UnsupportedMediaTypeError(
+    TransportError, code="unsupported_media_type", title="Unsupported request format"
+):
     """A body in another format than the route reads."""
 
-    code = "unsupported_media_type"
-    title = "Unsupported request format"
 
-
-class UnsupportedSubprotocolError(TransportError):
+class UnsupportedSubprotocolError(
+    TransportError, code="unsupported_subprotocol", title="Unsupported WebSocket subprotocol"
+):
     """None of the WebSocket subprotocols that the server speaks."""
 
-    code = "unsupported_subprotocol"
-    title = "Unsupported WebSocket subprotocol"
 
-
-class TooLargeError(TransportError):
+class TooLargeError(TransportError, code="too_large", title="Too many bytes"):
     """More bytes than allowed."""
 
-    code = "too_large"
-    title = "Too many bytes"
 
-
-class TooFastError(TransportError):
+class TooFastError(TransportError, code="too_fast", title="Too many requests", retryable=True):
     """More often than allowed.
 
     Attributes:
         retry_after_s: seconds to wait before the next attempt.
     """
 
-    code = "too_fast"
-    title = "Too many requests"
-    retryable = True
-
     def __init__(self, message: str | None = None, *, retry_after_s: float = 1.0) -> None:
         super().__init__(message)
         self.retry_after_s = retry_after_s
 
 
-class IdleError(TransportError):
+class IdleError(
+    TransportError, code="idle", title="The stream was idle for too long", retryable=True
+):
     """A stream without messages."""
 
-    code = "idle"
-    title = "The stream was idle for too long"
-    retryable = True
 
-
-class GoneError(KinecastError):
+class GoneError(KinecastError, code="gone", title="Gone"):
     """It was here."""
 
-    code = "gone"
-    title = "Gone"
 
-
-class UserDeletedError(GoneError):
+class UserDeletedError(GoneError, code="user_deleted", title="The user was deleted"):
     """The user was erased while a stream of theirs was open."""
 
-    code = "user_deleted"
-    title = "The user was deleted"
 
-
-class UnavailableError(KinecastError):
+class UnavailableError(
+    KinecastError, code="unavailable", title="Not available right now", retryable=True
+):
     """Not now; here or at another replica it may work.
 
     Attributes:
         retry_after_s: seconds to wait before the next attempt.
     """
 
-    code = "unavailable"
-    title = "Not available right now"
-    retryable = True
-
     def __init__(self, message: str | None = None, *, retry_after_s: float = 1.0) -> None:
         super().__init__(message)
         self.retry_after_s = retry_after_s
 
 
-class NotReadyError(UnavailableError):
+class NotReadyError(UnavailableError, code="not_ready", title="The service is not ready"):
     """Starting, or the database cannot be reached."""
 
-    code = "not_ready"
-    title = "The service is not ready"
 
-
-class OverloadedError(UnavailableError):
+class OverloadedError(UnavailableError, code="overloaded", title="The service is overloaded"):
     """More work than this replica can do in time."""
 
-    code = "overloaded"
-    title = "The service is overloaded"
 
-
-class DrainingError(UnavailableError):
+class DrainingError(UnavailableError, code="draining", title="This replica is shutting down"):
     """This replica is about to stop."""
 
-    code = "draining"
-    title = "This replica is shutting down"
 
-
-class InternalError(KinecastError):
+class InternalError(KinecastError, code="internal_error", title="Internal error", retryable=True):
     """A defect of the service. The details are in its log, never in the answer."""
 
-    code = "internal_error"
-    title = "Internal error"
-    retryable = True
 
-
-class StartError(KinecastError):
+class StartError(KinecastError, code="cannot_start", title="The service cannot start"):
     """The service cannot start like this."""
 
-    code = "cannot_start"
-    title = "The service cannot start"
 
-
-class MigrationError(StartError):
+class MigrationError(
+    StartError, code="database_not_migrated", title="The database does not fit this version"
+):
     """The database has other tables than this version needs."""
-
-    code = "database_not_migrated"
-    title = "The database does not fit this version"
