@@ -241,6 +241,7 @@ def _assemble(wanted: ForecastIn, user: User, rules: WindowRules) -> WindowReady
         wanted.confidence,
         skeleton=SKELETONS[user.skeleton],
         up=user.up,
+        root_relative=user.root_relative,
         rules=rules,
     )
 

@@ -2,6 +2,7 @@
 
 import asyncio
 import socket
+import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from torch import Tensor
 
 from app.domain.errors import NotReadyError
 from app.live.decoders import Decoders
+from app.settings import Settings
 from models.baselines import DampedVelocity
 from tests.live_support import BOTH, StreamClient, serve
 from tests.support import BASE_SHA256, make_settings, watch_person
@@ -86,6 +88,46 @@ async def test_a_client_that_never_reads_is_given_up(tmp_path: Path) -> None:
                             break
             assert server.metric("kinecast_streams_open ") == 0
             assert server.call("GET", "/readyz").status_code == 200
+
+
+@pytest.mark.asyncio
+async def test_a_stream_on_another_replica_fences_the_older_one(settings: Settings) -> None:
+    query = "?session=robot"
+    with serve(settings) as here, serve(settings) as there:
+        here.add_user()
+        async with here.stream(query=query) as old:
+            await show(old, PERSON[:15])
+            await old.expect("forecast")
+            async with there.stream(query=query) as new:
+                assert new.hello["epoch"] == old.hello["epoch"] + 1
+                code, _ = await old.expect_close(2.0)
+                await show(new, PERSON[:15])
+                await new.expect("forecast")
+    assert code == 4409
+
+
+@pytest.mark.asyncio
+async def test_who_shows_no_key_in_time_is_refused(tmp_path: Path) -> None:
+    with serve(make_settings(tmp_path)) as server:
+        server.add_user()
+        begun = time.monotonic()
+        async with server.stream(key=None, hello=False) as client:
+            code, messages = await client.expect_close(8.0)
+        assert 4.9 < time.monotonic() - begun < 7
+    assert (code, messages[0]["code"]) == (4401, "unauthorized")
+
+
+@pytest.mark.asyncio
+async def test_a_root_relative_user_is_told_so_on_both_routes(tmp_path: Path) -> None:
+    with serve(make_settings(tmp_path)) as server:
+        server.add_user(root_relative=True)
+        async with server.stream() as client:
+            await show(client, PERSON[:15])
+            streamed = await client.expect("forecast")
+        body = {"frames": PERSON[:15].tolist()}
+        single = server.call("POST", "/v1/users/ada/forecast", json=body).json()
+    assert "root_relative" in streamed["quality"]
+    assert "root_relative" in single["quality"]
 
 
 class Moody:
