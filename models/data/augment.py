@@ -32,6 +32,7 @@ class Augmentation:
         still: probability of a person who holds still (with noise on the observed frames).
         tempo: speed of the motion, uniform within 1 plus or minus this, where the clip is long
             enough (applied when the window is cut).
+        slow: probability of a speed between 0 and 1 instead (applied when the window is cut).
         reverse: probability of playing the window backwards.
         flicker: probability of parts of the body that the sensor does not see well: they wander or
             flip to and fro through the whole window, and nothing but their middle forecasts them.
@@ -47,8 +48,9 @@ class Augmentation:
     bones: float = 0.06
     offset_m: float = 0.003
     noise_m: float = 0.002
-    still: float = 0.01
+    still: float = 0.02
     tempo: float = 0.15
+    slow: float = 0.12
     reverse: float = 0.0
     flicker: float = 0.25
     flicker_m: float = 0.012

@@ -68,6 +68,7 @@ def pretrain(
             shares=config.shares,
             pools=config.pools,
             tempo=config.augmentation.tempo,
+            slow=config.augmentation.slow,
             device=device,
         )
         trainer = Trainer(config, sampler, device=device)

@@ -29,6 +29,8 @@ class WindowSampler:
         shares: part of a batch by source; sources not named share the rest equally.
         pools: sources that are drawn into one part of the batch; others are parts by themselves.
         tempo: speed of a window, uniform within 1 plus or minus this where its clip allows.
+        slow: probability of a speed anywhere between 0 and 1 instead, so that no pose by itself
+            means that motion must follow.
         device: where the frames are kept.
 
     Raises:
@@ -44,6 +46,7 @@ class WindowSampler:
         shares: Mapping[str, float],
         pools: Collection[Collection[str]],
         tempo: float,
+        slow: float,
         device: torch.device,
     ) -> None:
         usable = [clip for clip in clips if len(clip.poses) >= length]
@@ -51,6 +54,7 @@ class WindowSampler:
             raise ValueError(f"none of {len(clips)} clips has the {length} frames of a window")
         self.length = length
         self.tempo = tempo
+        self.slow = slow
         self.frames = torch.cat([torch.as_tensor(clip.poses) for clip in usable]).to(device)
         counts = _windows_by_source(usable, batch=batch, shares=shares)
         self.groups = {
@@ -69,6 +73,8 @@ class WindowSampler:
         chosen = torch.randint(len(group.starts), (group.share,)).to(device)
         start, room = group.starts[chosen], group.room[chosen]
         tempo = 1 + self.tempo * (2 * torch.rand(group.share, device=device) - 1)
+        slow = torch.rand(group.share, device=device) < self.slow
+        tempo = torch.where(slow, torch.rand(group.share, device=device), tempo)
         tempo = torch.minimum(tempo, (room - 1) / (self.length - 1))
         at = tempo[:, None] * torch.arange(self.length, device=device)
         before = at.floor().long().clamp(max=self.length * 2)

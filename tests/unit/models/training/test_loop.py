@@ -16,7 +16,14 @@ CPU = torch.device("cpu")
 
 def make_trainer(config: PretrainConfig, clips: list[Clip]) -> Trainer:
     sampler = WindowSampler(
-        clips, length=30, batch=config.batch, shares=config.shares, pools=(), tempo=0.1, device=CPU
+        clips,
+        length=30,
+        batch=config.batch,
+        shares=config.shares,
+        pools=(),
+        tempo=0.1,
+        slow=0.1,
+        device=CPU,
     )
     return Trainer(config, sampler, device=CPU)
 

@@ -13,10 +13,18 @@ def make_sampler(
     tempo: float = 0.0,
     batch: int = 20,
     pools: tuple[tuple[str, ...], ...] = (),
+    slow: float = 0.0,
 ) -> WindowSampler:
     shares = {"utd-mhad": 0.5}
     return WindowSampler(
-        clips, length=30, batch=batch, shares=shares, pools=pools, tempo=tempo, device=CPU
+        clips,
+        length=30,
+        batch=batch,
+        shares=shares,
+        pools=pools,
+        tempo=tempo,
+        slow=slow,
+        device=CPU,
     )
 
 
@@ -54,6 +62,15 @@ def test_tempo_changes_speed_but_never_leaves_the_clip(clips: list[Clip]) -> Non
     highest = max(clip.poses.max() for clip in clips)
     assert lowest <= varied.draw()[0].min()
     assert varied.draw()[0].max() <= highest
+
+
+def test_slowed_windows_move_at_any_speed_down_to_none(clips: list[Clip]) -> None:
+    torch.manual_seed(0)
+    [slow] = make_sampler(clips, batch=400, slow=1.0).draw()
+    [plain] = make_sampler(clips, batch=400).draw()
+    speed = [part.diff(dim=1).norm(dim=-1).mean(dim=(1, 2)) for part in (slow, plain)]
+    assert speed[0].min() < 0.1 * speed[1].min()
+    assert speed[0].mean() < 0.7 * speed[1].mean()
 
 
 def test_clips_that_are_too_short_are_told() -> None:
