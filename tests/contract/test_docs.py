@@ -4,6 +4,7 @@ import re
 
 from app.api.errors import find_answer
 from app.domain.errors import KinecastError, StartError
+from app.live.telemetry import Telemetry
 from app.settings import list_settings
 from tests.conftest import ROOT
 
@@ -79,3 +80,15 @@ def test_commands_named_in_operations_exist():
         assert name in commands, name
         if hasattr(commands[name], "commands"):
             assert sub in commands[name].commands, (name, sub)
+
+
+def test_every_metric_is_documented_with_its_type_and_labels():
+    collectors = [one for one in vars(Telemetry()).values() if hasattr(one, "_labelnames")]
+    expected = []
+    for collector in collectors:
+        (family,) = collector.describe()
+        name = family.name + ("_total" if family.type == "counter" else "")
+        expected.append([name, family.type, ", ".join(collector._labelnames)])
+    documented = read_table("operations.md", "| metric | type | labels | meaning |")
+    assert [row[:3] for row in documented] == expected
+    assert len(expected) == len(list(Telemetry().registry.collect()))

@@ -1,0 +1,63 @@
+"""Reading the pages of the documentation."""
+
+import re
+from pathlib import Path
+
+from tests.conftest import ROOT
+
+FOLDERS = ("app", "benchmarks", "docs", "migrations", "models", "tests")
+"""Where pages may lie, beside the root."""
+
+
+def list_pages() -> list[Path]:
+    """Every page of the repository."""
+    nested = [page for folder in FOLDERS for page in (ROOT / folder).rglob("*.md")]
+    return sorted([*ROOT.glob("*.md"), *nested])
+
+
+def read_page(name: str) -> str:
+    return (ROOT / name).read_text(encoding="utf-8")
+
+
+def read_section(name: str, heading: str) -> str:
+    """What stands under a heading, up to the next one of its level or above."""
+    text = read_page(name)
+    level = len(heading) - len(heading.lstrip("#"))
+    begin = text.index(f"\n{heading}\n") + len(heading) + 2
+    end = re.compile(rf"^#{{1,{level}}} ", re.MULTILINE).search(text, begin)
+    return text[begin : end.start() if end else None]
+
+
+def read_blocks(text: str, language: str) -> list[str]:
+    """The fenced blocks of a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+
+
+def read_rows(text: str, first: str) -> list[list[str]]:
+    """The rows of the table whose heading begins with a cell, as plain cells."""
+    lines = iter(text.splitlines())
+    for line in lines:
+        if line.startswith(f"| {first} |"):
+            break
+    else:
+        raise LookupError(f"there is no table that begins with {first!r}")
+    next(lines)
+    rows = []
+    for line in lines:
+        if not line.startswith("|"):
+            break
+        rows.append([cell.strip() for cell in line.strip("|").split("|")])
+    return rows
+
+
+def quoted(text: str) -> set[str]:
+    """Everything in backticks."""
+    return set(re.findall(r"`([^`\n]+)`", text))
+
+
+def slugs(text: str) -> set[str]:
+    """The anchors of a page's headings, as they are shown on the web."""
+    headings = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
+    return {
+        re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings
+    }
