@@ -1,5 +1,6 @@
 """The WebSocket itself: how it closes, and what happens to messages that are no messages."""
 
+import asyncio
 import contextlib
 from collections.abc import Iterator
 
@@ -21,6 +22,8 @@ FATAL = 4400
 LINGER_S = 2.0
 """How long a refused client may go on sending before the connection is cut: a connection that is
 closed with bytes unread would be reset, and the client would never read why."""
+LEAVE_S = 2.0
+"""How long the reason of an end may wait for a client that reads nothing."""
 ABANDON_S = 10.0
 """How long the last bytes may take to leave once a stream has ended."""
 
@@ -79,15 +82,16 @@ class ClientSocket:
         self._is_binary = codec.is_binary
 
     async def refuse(self, error: KinecastError, codec: Codec) -> None:
-        """Say why, say goodbye and close with the error's code."""
+        """Say why, say goodbye and close with the error's code; do not wait for deaf clients."""
         self.use(codec)
         self.close_code = find_close_code(error)
-        with contextlib.suppress(GoneError):
-            if not isinstance(error, DrainingError):
-                await self.send(codec.encode(describe(error)))
-            await self.send(codec.encode(take_leave(error)))
-            with _translate_gone():
-                await self._websocket.close(self.close_code, error.code)
+        with contextlib.suppress(GoneError, TimeoutError):
+            async with asyncio.timeout(LEAVE_S):
+                if not isinstance(error, DrainingError):
+                    await self.send(codec.encode(describe(error)))
+                await self.send(codec.encode(take_leave(error)))
+                with _translate_gone():
+                    await self._websocket.close(self.close_code, error.code)
 
 
 class StreamProtocol(WebSocketsSansIOProtocol):

@@ -78,7 +78,8 @@ class _Client:
         self.log = StreamLog()
         self._stream, self._poses = stream, poses
         self._open: dict[int, float] = {}
-        self._all_sent = self._is_waiting = False
+        self._waiting_from: int | None = None
+        self._all_sent = False
 
     async def send(self, start: float) -> None:
         """Send every frame at its instant."""
@@ -102,7 +103,8 @@ class _Client:
                 case Forecast():
                     self._note_forecast(message)
                 case Waiting():
-                    self._is_waiting = True  # stands for the frames up to the next forecast
+                    if self._waiting_from is None:
+                        self._waiting_from = message.seq
                 case Error(seq=int(seq)):
                     self.log.refused[message.code] = self.log.refused.get(message.code, 0) + 1
                     self._forget([seq])
@@ -117,11 +119,11 @@ class _Client:
         self._forget(passed_over)
         self.log.skipped += forecast.skipped
         untold = max(0, len(passed_over) - forecast.skipped)
-        if self._is_waiting:
-            self.log.covered += untold
+        if self._waiting_from is not None and forecast.seq > self._waiting_from:
+            self.log.covered += untold  # a `waiting` stands for the frames up to the next forecast
+            self._waiting_from = None
         else:
             self.log.lost += untold
-        self._is_waiting = False
 
     def _forget(self, seqs: Sequence[int]) -> None:
         for seq in seqs:
