@@ -10,7 +10,7 @@ TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 TORCH := torch==2.13.0
 
 .DEFAULT_GOAL := help
-.PHONY: reproduce help serve test lint types imports check-migrations unit clean
+.PHONY: reproduce stream-check performance help serve test lint types imports check-migrations unit clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
@@ -57,6 +57,12 @@ unit: $(VENV)/.test ## all tests with branch coverage (ARGS="-k stream" for some
 SHARED ?= ../shared/data
 reproduce: $(VENV)/.test ## train the shipped base again, once unbroken and once killed and resumed (about 20 min)
 	$(BIN)/python -m benchmarks.reproduce --data $(SHARED)/utd-mhad --mix $(SHARED)/more-people
+
+stream-check: $(VENV)/.test ## stream real recordings in real time and compare with `evaluate` (about 2 min)
+	UTD_MHAD=$${UTD_MHAD:-$(SHARED)/utd-mhad} $(BIN)/python -m benchmarks.stream_check $(ARGS)
+
+performance: $(VENV)/.test ## the figures of docs/performance.md; on an idle machine (about 6 min)
+	$(BIN)/python -m benchmarks.performance $(ARGS)
 
 clean: ## remove the virtual environment and caches
 	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .hypothesis build *.egg-info
