@@ -1,10 +1,12 @@
 """`kinecast serve`: the service, from an empty folder to the first forecast."""
 
 import asyncio
+import shlex
+import shutil
 import socket
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import typer
 
@@ -40,11 +42,9 @@ def _run(settings: Settings, listener: socket.socket) -> None:
     from app.server import make_server  # noqa: PLC0415
 
     configure_logs(settings)
-    where_key_is = asyncio.run(_prepare(settings))
+    key = asyncio.run(_prepare(settings))
     address = _name_address(listener)
-    server = make_server(
-        create_app(settings), settings, on_ready=lambda: _greet(address, where_key_is)
-    )
+    server = make_server(create_app(settings), settings, on_ready=lambda: _greet(address, key))
     server.run(sockets=[listener])
     if not server.started:
         fail("The service did not start; the log above says why.", status=1)
@@ -67,7 +67,14 @@ def _name_address(listener: socket.socket) -> str:
     return f"http://[{shown}]:{port}" if ":" in shown else f"http://{shown}:{port}"
 
 
-async def _prepare(settings: Settings) -> str:
+class _Key(NamedTuple):
+    """Where the admin key is, and what a shell on this machine puts before a command to use it."""
+
+    where: str
+    prefix: str
+
+
+async def _prepare(settings: Settings) -> _Key:
     """Bring the database up to date and see to an admin key; tells where that key is."""
     from app.storage.bootstrap import ensure_admin  # noqa: PLC0415 - slow to import
     from app.storage.database import Database  # noqa: PLC0415
@@ -82,24 +89,27 @@ async def _prepare(settings: Settings) -> str:
     return _show_key(settings, made)
 
 
-def _show_key(settings: Settings, made: str | None) -> str:
+def _show_key(settings: Settings, made: str | None) -> _Key:
     """Show a new admin key on a terminal; elsewhere, where output is kept, write it to a file."""
     from app.storage.bootstrap import ADMIN_KEY_FILE, write_secret  # noqa: PLC0415 - slow to import
 
     path = settings.data_dir / ADMIN_KEY_FILE
     if made is not None and sys.stdout.isatty():
-        return f"{made}  (shown only now; keep it)"
+        return _Key(f"{made}  (shown only now; keep it)", f"KINECAST_KEY={made} ")
     if made is not None:
         write_secret(path, made)
     if settings.admin_key is not None:
-        return "the one in KINECAST_ADMIN_KEY"
-    return f"in {path}" if path.exists() else "shown at the first start"
+        return _Key("the one in KINECAST_ADMIN_KEY", "KINECAST_KEY=$KINECAST_ADMIN_KEY ")
+    if path.exists():
+        return _Key(f"in {path}", f"KINECAST_KEY=$(cat {shlex.quote(str(path))}) ")
+    return _Key("shown at the first start", "KINECAST_KEY=kc_... ")
 
 
-def _greet(address: str, where_key_is: str) -> None:
-    """Say where to go next."""
+def _greet(address: str, key: _Key) -> None:
+    """Say where to go next, in commands that work as they stand."""
+    command = "kinecast" if shutil.which("kinecast") else shlex.quote(sys.argv[0])
     out.print(f"Kinecast is ready at {address}", style="bold", markup=False)
-    out.print(f"  Admin key  {where_key_is}", markup=False)
+    out.print(f"  Admin key  {key.where}", markup=False)
     out.print(f"  API        {address}/docs", markup=False)
-    out.print(f"  Try it     kinecast demo --url {address}", markup=False)
+    out.print(f"  Try it     {key.prefix}{command} demo --url {address}", markup=False)
     out.print("  Stop       Ctrl+C", markup=False)

@@ -113,7 +113,7 @@ def _tabulate_stream(report: dict[str, Any]) -> Table:
         "p99", "in time",
         title=f"{streams} at 30 Hz for {report['seconds']:g} s, {report['format']}",
         caption="in time: within 33 ms · right of the bar: without the machine's own pauses",
-        box=None, pad_edge=False,
+        box=None, pad_edge=False, collapse_padding=True,
     )  # fmt: skip
     for number, run in enumerate(report["runs"], start=1):
         latency, clean = run["latency_ms"], run["without_pauses"]

@@ -127,14 +127,18 @@ async def _show(reports: Sequence[Report], console: Console, *, url: str, starte
         await _write_lines(reports, console)
         return
     with Live(console=console, auto_refresh=False, transient=False) as live:
+
+        def refresh() -> None:
+            elapsed_s = time.monotonic() - started
+            picture = draw(reports, url=url, elapsed_s=elapsed_s, width=console.width)
+            live.update(picture, refresh=True)
+
         try:
             while True:
-                elapsed_s = time.monotonic() - started
-                live.update(draw(reports, url=url, elapsed_s=elapsed_s), refresh=True)
+                refresh()
                 await asyncio.sleep(REFRESH_S)
         finally:
-            elapsed_s = time.monotonic() - started
-            live.update(draw(reports, url=url, elapsed_s=elapsed_s), refresh=True)
+            refresh()
 
 
 async def _write_lines(reports: Sequence[Report], console: Console) -> None:

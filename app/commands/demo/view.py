@@ -1,8 +1,8 @@
 """The demonstration on a terminal: one row per person, readable without colours too."""
 
 import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, NamedTuple
 
 from rich.console import Group, RenderableType
 from rich.table import Column, Table
@@ -15,32 +15,29 @@ _BARS = "▁▂▃▄▅▆▇█"
 _MARKS = {"info": ("●", "green"), "degraded": ("▲", "yellow"), "unsafe": ("■", "red")}
 _ROOMY = 6
 """Up to so many people, history has a second line."""
+_WIDE = 112
+"""Columns of a terminal from which everything fits."""
+_MIDDLE_S = 0.2
 _DEADLINE_MS = 33.0
 
 
-def draw(reports: Sequence[Report], *, url: str, elapsed_s: float) -> RenderableType:
-    """Draw the state of all streams."""
+def draw(
+    reports: Sequence[Report], *, url: str, elapsed_s: float, width: int = _WIDE
+) -> RenderableType:
+    """Draw the state of all streams, on a narrow terminal less of it."""
     clock = f"{int(elapsed_s) // 60}:{int(elapsed_s) % 60:02d}"
     people = "1 person" if len(reports) == 1 else f"{len(reports)} people"
-    title = Text.assemble(
-        ("Kinecast demo", "bold"), f"  {people} at 30 Hz to {url}  {clock}", style="default"
-    )
+    title = Text.assemble(("Kinecast demo", "bold"), f"  {people} at 30 Hz to {url}  {clock}")
+    columns = [column for column in _COLUMNS if width >= _WIDE or not column.wide]
     table = Table(
-        "person",
-        "doing",
-        *(Column(f"{ahead:g} s", justify="right") for ahead in AHEAD),
-        Column("0.5 s, history", min_width=HISTORY_S),
-        Column("p50", justify="right"),
-        Column("p99 ms", justify="right"),
-        Column("skipped", justify="right"),
-        "weights",
-        "state",
+        *(Column(column.name, justify=column.justify, no_wrap=True) for column in columns),
         box=None,
         pad_edge=False,
         header_style="dim",
     )
+    roomy = len(reports) <= _ROOMY
     for report in reports:
-        table.add_row(*_describe(report, roomy=len(reports) <= _ROOMY))
+        table.add_row(*(column.show(report, roomy) for column in columns))
     legend = Text(
         "error in cm, mean over joints: forecast / standing still · Ctrl+C ends", style="dim"
     )
@@ -95,19 +92,22 @@ def draw_sparkline(values: Sequence[float], *, top: float, width: int) -> str:
     return "".join(_BARS[max(0, min(highest, round(value / top * highest)))] for value in shown)
 
 
-def _describe(report: Report, *, roomy: bool) -> list[RenderableType]:
-    p50, p99 = report.scores.latency()
-    return [
-        Text(report.user, style="bold"),
-        Text(report.action, no_wrap=True),
-        *(_compare(*report.scores.errors[ahead].mean(last=RECENT)) for ahead in AHEAD),
-        _draw_history(report, roomy=roomy),
-        Text(_show(p50)),
-        Text(_show(p99), style="" if not p99 > _DEADLINE_MS else "yellow"),
-        Text(str(report.skipped)),
-        Text(_name_weights(report)),
-        _mark_state(report),
-    ]
+class _Column(NamedTuple):
+    """A column: its name, what it shows of a report, and whether it needs a wide terminal."""
+
+    name: str
+    show: Callable[[Report, bool], Text]
+    justify: Literal["left", "right"] = "left"
+    wide: bool = False
+
+
+def _show_error(ahead: float) -> Callable[[Report, bool], Text]:
+    return lambda report, _: _compare(*report.scores.errors[ahead].mean(last=RECENT))
+
+
+def _show_tail(report: Report, _: object) -> Text:
+    p99 = report.scores.latency()[1]
+    return Text(_show(p99), style="yellow" if p99 > _DEADLINE_MS else "")
 
 
 def _compare(forecast: float, standing: float) -> Text:
@@ -118,7 +118,7 @@ def _compare(forecast: float, standing: float) -> Text:
     return Text.assemble((f"{forecast:.1f}", style), (f" / {standing:.1f}", "dim"))
 
 
-def _draw_history(report: Report, *, roomy: bool) -> Text:
+def _draw_history(report: Report, roomy: bool) -> Text:  # noqa: FBT001 - as all columns
     forecast, standing = report.scores.list_history()
     top = max([*forecast, *standing], default=0.0)
     ours = Text(draw_sparkline(forecast, top=top, width=HISTORY_S), style="cyan")
@@ -156,3 +156,19 @@ def _show(value: float) -> str:
 
 def _number(value: float) -> float | None:
     return None if math.isnan(value) else round(value, 3)
+
+
+_COLUMNS = (
+    _Column("person", lambda report, _: Text(report.user, style="bold")),
+    _Column("doing", lambda report, _: Text(report.action)),
+    *(
+        _Column(f"{ahead:g} s", _show_error(ahead), "right", wide=ahead == _MIDDLE_S)
+        for ahead in AHEAD
+    ),
+    _Column("0.5 s, history", _draw_history, wide=True),
+    _Column("p50", lambda report, _: Text(_show(report.scores.latency()[0])), "right"),
+    _Column("p99 ms", _show_tail, "right"),
+    _Column("skipped", lambda report, _: Text(str(report.skipped)), "right"),
+    _Column("weights", lambda report, _: Text(_name_weights(report)), wide=True),
+    _Column("state", lambda report, _: _mark_state(report)),
+)

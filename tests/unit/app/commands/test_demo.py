@@ -84,12 +84,14 @@ def test_sparkline_is_scaled_and_cut_to_the_newest() -> None:
 def make_report(**fields: object) -> Report:
     version = Version(0, "base", "0123456789abcdef")
     given = {"action": "walk", "state": "streaming", "version": version, "severity": "info"}
-    return Report("demo-1", scores=watch(120, off_m=0.02), **(given | fields))
+    given |= fields
+    return Report(given.pop("user", "demo-1"), scores=watch(120, off_m=0.02), **given)
 
 
-def show(*reports: Report) -> str:
+def show(*reports: Report, width: int = 120) -> str:
     paper = io.StringIO()
-    Console(width=130, file=paper).print(draw(reports, url="http://here", elapsed_s=75.0))
+    picture = draw(reports, url="http://here", elapsed_s=75.0, width=width)
+    Console(width=width, file=paper).print(picture)
     return paper.getvalue()
 
 
@@ -102,6 +104,15 @@ def test_table_can_be_read_without_colours() -> None:
     assert "● info" in text
     assert "■ unsafe mirrored" in text
     assert "█" in text
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_table_fits_the_terminal(width) -> None:
+    report = make_report(action="sit_and_work", user="demo-12", severity="unsafe")
+    text = show(report, make_report(), width=width)
+    assert "…" not in text
+    assert "■ unsafe" in text
+    assert ("history" in text) is (width == 120)
 
 
 def test_people_without_a_forecast_are_shown_too() -> None:
