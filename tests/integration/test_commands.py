@@ -123,6 +123,8 @@ def test_shown_address_can_be_opened_on_this_machine(host, shown):
 def test_new_key_is_shown_on_a_terminal_only(tmp_path, monkeypatch):
     settings = load_settings(data_dir=tmp_path)
     monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
-    assert serve._show_key(settings, "kc_new").startswith("kc_new")
+    shown = serve._show_key(settings, "kc_new")
+    assert shown.where.startswith("kc_new")
+    assert shown.prefix == "KINECAST_KEY=kc_new "
     assert not (tmp_path / "admin-key").exists()
-    assert serve._show_key(settings, None) == "shown at the first start"
+    assert serve._show_key(settings, None).where == "shown at the first start"
