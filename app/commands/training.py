@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich import box
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -129,11 +130,7 @@ def evaluate_command(
     if json_out is not None:
         _write_json(json_out, report)
     if json_out is None or str(json_out) != "-":
-        out.print(_table(rows, published=_is_paper_protocol(data, trials)))
-        for row in rows:
-            if row.coverage is not None:
-                told = ", ".join(f"{p:.0%}: {q:.1%}" for p, q in row.coverage.items())
-                out.print(f"coverage of the radius, {row.method}, subject {row.subject}: {told}")
+        _show(rows, published=_is_paper_protocol(data, trials))
 
 
 def _score(
@@ -242,31 +239,40 @@ def _write_json(path: Path, report: Mapping[str, object]) -> None:
         path.write_text(text + "\n")
 
 
-def _table(rows: Sequence[evaluation.Row], *, published: bool) -> Table:
-    table = Table(
-        title="mean squared error in cm², cumulative (at frame; mm)", title_justify="left"
+def _show(rows: Sequence[evaluation.Row], *, published: bool) -> None:
+    """Print three tables that fit 80 columns: the protocol's, the errors at a frame, the mm."""
+    out.print(
+        _table("mse_cm2", "cm², mean over frames 1..k (the protocol)", rows, published=published)
     )
-    for heading in ("subject", "method"):
-        table.add_column(heading, no_wrap=True)
+    out.print(_table("mse_cm2_at", "cm², at frame k", rows))
+    out.print(_table("mpjpe_mm", "mean distance per joint in mm, at frame k", rows))
+    for row in rows:
+        if row.coverage is not None:
+            told = ", ".join(f"{p:.0%}: {q:.1%}" for p, q in row.coverage.items())
+            out.print(f"coverage of the radius, {row.method}, subject {row.subject}: {told}")
+
+
+def _table(
+    measure: str,
+    title: str,
+    rows: Sequence[evaluation.Row],
+    *,
+    published: bool = False,
+) -> Table:
+    table = Table(title=title, title_justify="left", box=box.SIMPLE, pad_edge=False)
+    table.add_column("subject, method", no_wrap=True)
     for frame in FRAMES:
-        table.add_column(f"{frame}\n{frame * 1000 / 30:.0f} ms", justify="right")
+        table.add_column(f"{frame}\n{frame * 1000 / 30:.0f} ms", justify="right", no_wrap=True)
     for subject in dict.fromkeys(row.subject for row in rows):
         for row in rows:
             if row.subject == subject:
-                table.add_row(subject, row.method, *_cells(row))
+                cells = [f"{value:.2f}" for value in getattr(row.scores, measure)]
+                table.add_row(f"{subject}  {row.method}", *cells)
         for (name, whose), values in evaluation.PUBLISHED.items():
             if published and whose == subject:
-                table.add_row(
-                    subject, f"[dim]{name}[/dim]", *(f"[dim]{v:.2f}[/dim]" for v in values)
-                )
+                table.add_row(f"{subject}  {name}", *(f"{v:.2f}" for v in values), style="dim")
         table.add_section()
     return table
-
-
-def _cells(row: evaluation.Row) -> list[str]:
-    scores = row.scores
-    values = zip(scores.mse_cm2, scores.mse_cm2_at, scores.mpjpe_mm, strict=True)
-    return [f"{total:.2f} [dim]({at:.1f}; {mm:.0f})[/dim]" for total, at, mm in values]
 
 
 def _command_line() -> str:

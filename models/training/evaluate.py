@@ -21,12 +21,12 @@ PUBLISHED: dict[tuple[str, str], tuple[float, ...]] = {
     ("paper: zero velocity", "2"): (11.20, 27.37, 66.85, 86.23, 112.39, 127.64),
     ("paper: zero velocity", "4"): (13.11, 32.33, 77.22, 97.80, 123.99, 138.53),
     ("paper: zero velocity", "6"): (10.37, 25.56, 64.62, 85.29, 115.33, 135.17),
-    ("paper: before personalisation", "2"): (5.41, 14.75, 33.87, 41.89, 51.33, 56.12),
-    ("paper: before personalisation", "4"): (7.78, 18.26, 41.66, 51.46, 62.67, 68.10),
-    ("paper: before personalisation", "6"): (6.99, 16.18, 38.51, 49.40, 63.70, 71.68),
-    ("paper: after personalisation", "2"): (7.62, 16.17, 32.35, 38.63, 45.72, 49.13),
-    ("paper: after personalisation", "4"): (6.98, 14.79, 30.29, 36.51, 43.81, 47.61),
-    ("paper: after personalisation", "6"): (6.51, 13.44, 27.49, 33.66, 41.74, 46.41),
+    ("paper: base", "2"): (5.41, 14.75, 33.87, 41.89, 51.33, 56.12),
+    ("paper: base", "4"): (7.78, 18.26, 41.66, 51.46, 62.67, 68.10),
+    ("paper: base", "6"): (6.99, 16.18, 38.51, 49.40, 63.70, 71.68),
+    ("paper: personal", "2"): (7.62, 16.17, 32.35, 38.63, 45.72, 49.13),
+    ("paper: personal", "4"): (6.98, 14.79, 30.29, 36.51, 43.81, 47.61),
+    ("paper: personal", "6"): (6.51, 13.44, 27.49, 33.66, 41.74, 46.41),
 }
 """The rows of the paper's table (cm², cumulative), to be read beside ours."""
 
