@@ -20,7 +20,7 @@ class NetConfig:
 
     encoder_hidden: int = 128
     encoder_heads: int = 4
-    continuous: int = 64
+    continuous: int = 128
     categories: int = 27
     decoder_token: int = 64
     decoder_hidden: int = 128

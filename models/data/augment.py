@@ -30,8 +30,8 @@ class Augmentation:
         offset_m: constant offset of each joint, as between two makes of sensor, deviation.
         noise_m: white noise on observed joints, deviation; a third of the windows get it.
         still: probability of a person who holds still (with noise on the observed frames).
-        tempo: speed of the motion, uniform within 1 plus or minus this, where the clip is long
-            enough (applied when the window is cut).
+        tempo: speed of every other window, uniform within 1 plus or minus this, where the clip is
+            long enough (applied when the window is cut).
         slow: probability of a speed between 0 and 1 instead (applied when the window is cut).
         reverse: probability of playing the window backwards.
         flicker: probability of parts of the body that the sensor does not see well: they wander or

@@ -9,6 +9,8 @@ from torch import Tensor
 
 from models.data.clips import Clip
 
+_VARIED = 0.5
+
 
 @dataclass(frozen=True, slots=True)
 class _Group:
@@ -28,7 +30,8 @@ class WindowSampler:
         batch: windows in a batch.
         shares: part of a batch by source; sources not named share the rest equally.
         pools: sources that are drawn into one part of the batch; others are parts by themselves.
-        tempo: speed of a window, uniform within 1 plus or minus this where its clip allows.
+        tempo: speed of every other window, uniform within 1 plus or minus this where its clip
+            allows; the others keep their frames as the sensor gave them, noise and all.
         slow: probability of a speed anywhere between 0 and 1 instead, so that no pose by itself
             means that motion must follow.
         device: where the frames are kept.
@@ -73,6 +76,7 @@ class WindowSampler:
         chosen = torch.randint(len(group.starts), (group.share,)).to(device)
         start, room = group.starts[chosen], group.room[chosen]
         tempo = 1 + self.tempo * (2 * torch.rand(group.share, device=device) - 1)
+        tempo = torch.where(torch.rand(group.share, device=device) < _VARIED, tempo, 1.0)
         slow = torch.rand(group.share, device=device) < self.slow
         tempo = torch.where(slow, torch.rand(group.share, device=device), tempo)
         tempo = torch.minimum(tempo, (room - 1) / (self.length - 1))
