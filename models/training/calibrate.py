@@ -36,10 +36,11 @@ def calibrate(folds: Sequence[Checkpoint], clips: Sequence[Clip]) -> tuple[Radiu
     """
     distances, scores = [], {}
     for fold in folds:
-        people = list(fold.metadata["left_out"])
-        own = [clip for clip in clips if "/".join(clip.person) in people]
+        left_out = set(fold.metadata["left_out"])
+        own = [clip for clip in clips if "/".join(clip.person) in left_out]
         if not own:
-            raise ValueError(f"no recordings of the people whom a net left out: {people}")
+            raise ValueError(f"no recordings of the people whom a net left out: {sorted(left_out)}")
+        people = sorted({"/".join(clip.person) for clip in own})
         windows = cut_windows(own, fold.predictor.spec)
         distances.append(forecast_distances(fold.predictor, windows))
         forecast = forecast_in_batches(fold.predictor, torch.as_tensor(windows.observed))
