@@ -55,7 +55,7 @@ unit: $(VENV)/.test ## all tests with branch coverage (ARGS="-k stream" for some
 	$(BIN)/pytest --cov --cov-report=term $(ARGS)
 
 SHARED ?= ../shared/data
-reproduce: $(VENV)/.test ## train the shipped base again, once unbroken and once killed and resumed (about 20 min)
+reproduce: $(VENV)/.test ## train the shipped base again, and kill and resume a shorter run (about 10 min)
 	$(BIN)/python -m benchmarks.reproduce --data $(SHARED)/utd-mhad --mix $(SHARED)/more-people
 
 stream-check: $(VENV)/.test ## stream real recordings in real time and compare with `evaluate` (about 2 min)
