@@ -196,6 +196,9 @@ class LimitsOut(AnswerModel):
     streams_per_key: int
     streams_per_user: int
     forecast_frames: int
+    trial_bytes: int
+    clips: int
+    frames_per_clip: int
     features: list[str] = Field(description="What this server can do.")
 
 
