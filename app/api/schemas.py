@@ -109,6 +109,11 @@ class UserPatch(RequestModel):
     model_config = ConfigDict(json_schema_extra=_examples({"display_name": "Ada L."}))
 
     display_name: Name | None = Field(None, description="Null takes the name away.")
+    auto_promote: bool = Field(
+        default=True,
+        strict=True,
+        description="Whether a version that wins becomes active by itself.",
+    )
 
 
 class UserOut(AnswerModel):
@@ -120,6 +125,7 @@ class UserOut(AnswerModel):
     root_relative: bool
     display_name: str | None
     created_at: datetime
+    auto_promote: bool = Field(description="A promotion or a rollback by hand turns it off.")
     version: VersionOut = Field(description="The active version.")
 
 

@@ -15,7 +15,6 @@ from app.api.dependencies import (
     DatabaseNeeded,
     JsonBody,
     PageSize,
-    PathUser,
     UserId,
 )
 from app.api.openapi import DENIED, needs, problems
@@ -26,7 +25,8 @@ from app.domain.errors import InvalidError
 from app.domain.events import Action, Event
 from app.domain.motion import VersionStamp
 from app.domain.users import User
-from app.storage import audit, users
+from app.domain.versions import ActiveVersion
+from app.storage import audit, users, versions
 from models.skeleton import SKELETONS
 
 router = APIRouter(tags=["users"])
@@ -58,7 +58,7 @@ async def add_user(
             actor=caller.key_id,
         )
     response.headers["Location"] = f"/v1/users/{user.id}"
-    return _show(user, request)
+    return _show(user, ActiveVersion(), request)
 
 
 @router.get(
@@ -78,7 +78,9 @@ async def list_users(
     del caller
     async with database.read() as tx:
         page = await users.list_page(tx, after=after, limit=limit)
-    shown = [_show(user, request) for user in page.items]
+        active = await versions.read_active(tx, [user.uuid for user in page.items])
+    base = ActiveVersion()
+    shown = [_show(user, active.get(user.uuid, base), request) for user in page.items]
     return PageOut[UserOut](items=shown, next_cursor=page.next_cursor)
 
 
@@ -88,10 +90,15 @@ async def list_users(
     openapi_extra=ADMIN_ONLY,
     responses=problems(*DENIED, errors.UnknownUserError),
 )
-async def get_user(caller: Admin, user: PathUser, request: Request) -> UserOut:
+async def get_user(
+    caller: Admin, user: UserId, database: DatabaseNeeded, request: Request
+) -> UserOut:
     """Get one user, with the active version."""
     del caller
-    return _show(user, request)
+    async with database.read() as tx:
+        found = await users.get(tx, user)
+        active = await versions.read_active_of(tx, found.uuid)
+    return _show(found, active, request)
 
 
 @router.patch(
@@ -108,12 +115,13 @@ async def change_user(
 ) -> UserOut:
     """Change what may change of a user; fields that are left out stay as they are."""
     async with database.write() as tx:
-        if "display_name" in body.model_fields_set:
-            name = body.display_name
-            changed = await users.rename(tx, user, display_name=name, actor=caller.key_id)
+        changes = body.model_dump(exclude_unset=True)
+        if changes:
+            changed = await users.change(tx, user, changes, actor=caller.key_id)
         else:
             changed = await users.get(tx, user)
-    return _show(changed, request)
+        active = await versions.read_active_of(tx, changed.uuid)
+    return _show(changed, active, request)
 
 
 @router.delete(
@@ -158,9 +166,13 @@ async def export_user(caller: Admin, user: UserId, database: DatabaseNeeded) -> 
     return Response(archive, media_type="application/zip", headers=headers)
 
 
-def _show(user: User, request: Request) -> UserOut:
+def _show(user: User, active: ActiveVersion, request: Request) -> UserOut:
     """Show a user with the active version: the base, as long as there is no personal one."""
-    stamp = VersionStamp(number=0, kind="base", sha256=request.app.state.base_sha256)
+    stamp = VersionStamp(
+        number=active.number,
+        kind="base" if active.sha256 is None else "personal",
+        sha256=active.sha256 or request.app.state.base_sha256,
+    )
     return UserOut(**_plain(user), version=VersionOut.model_validate(stamp))
 
 

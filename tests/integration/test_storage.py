@@ -177,7 +177,7 @@ async def test_recreated_id_never_meets_old_data(database):
 async def test_erasing_or_renaming_nobody_is_an_error(database):
     for change in (
         lambda tx: users.erase(tx, "ada", actor=None, audit_key=AUDIT_KEY),
-        lambda tx: users.rename(tx, "ada", display_name="Ada", actor=None),
+        lambda tx: users.change(tx, "ada", {"display_name": "Ada"}, actor=None),
         lambda tx: users.get(tx, "ada"),
     ):
         with pytest.raises(UnknownUserError):
