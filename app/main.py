@@ -9,7 +9,20 @@ from pathlib import Path
 import structlog
 from fastapi import FastAPI
 
-from app.api import errors, forecast, health, keys, openapi, pages, reference, stream, users
+from app.api import (
+    errors,
+    forecast,
+    health,
+    jobs,
+    keys,
+    openapi,
+    pages,
+    reference,
+    stream,
+    trials,
+    users,
+    versions,
+)
 from app.api.middleware import BodyLimit, RequestLog
 from app.domain.errors import StartError
 from app.domain.limits import read_limits
@@ -77,7 +90,8 @@ def create_app(settings: Settings, *, decoders: Decoders | None = None) -> FastA
         close_s=settings.version_unconfirmed_close_s,
     )
     state.draining = False
-    for part in (users, keys, forecast, stream, reference, health, pages):
+    routes = (users, keys, trials, versions, jobs, forecast, stream, reference, health, pages)
+    for part in routes:
         app.include_router(part.router)
     errors.install(app)
     openapi.install(app)
@@ -112,6 +126,8 @@ def _add_middleware(app: FastAPI, settings: Settings) -> None:
     forecast_bytes = forecast.forecast_body_limit(settings)
 
     def limit(path: str) -> int:
+        if path.endswith("/trials"):
+            return settings.trial_bytes
         return forecast_bytes if path.endswith("/forecast") else SMALL_BODY_BYTES
 
     app.add_middleware(BodyLimit, limit=limit)

@@ -18,12 +18,12 @@ from app.api.dependencies import (
     UserId,
 )
 from app.api.openapi import DENIED, needs, problems
-from app.api.schemas import PageOut, UserIn, UserOut, UserPatch, VersionOut
+from app.api.schemas import PageOut, UserIn, UserOut, UserPatch
+from app.api.versions import show_active
 from app.domain import errors
 from app.domain.access import Scope
 from app.domain.errors import InvalidError
 from app.domain.events import Action, Event
-from app.domain.motion import VersionStamp
 from app.domain.users import User
 from app.domain.versions import ActiveVersion
 from app.storage import audit, users, versions
@@ -168,12 +168,7 @@ async def export_user(caller: Admin, user: UserId, database: DatabaseNeeded) -> 
 
 def _show(user: User, active: ActiveVersion, request: Request) -> UserOut:
     """Show a user with the active version: the base, as long as there is no personal one."""
-    stamp = VersionStamp(
-        number=active.number,
-        kind="base" if active.sha256 is None else "personal",
-        sha256=active.sha256 or request.app.state.base_sha256,
-    )
-    return UserOut(**_plain(user), version=VersionOut.model_validate(stamp))
+    return UserOut(**_plain(user), version=show_active(active, request.app.state.base_sha256))
 
 
 def _plain(user: User) -> dict[str, object]:
