@@ -37,6 +37,7 @@ from app.storage.database import Database
 from app.storage.migrate import check_current
 from app.storage.sessions import watch
 from app.version import read_version
+from app.worker.embedded import EmbeddedWorker
 from models.checkpoint import SHIPPED, CheckpointError, load_checkpoint
 
 DESCRIPTION = "Forecasts how a person will move in the next half second, and learns each person."
@@ -47,12 +48,15 @@ SMALL_BODY_BYTES = 16_384
 log = structlog.get_logger(__name__)
 
 
-def create_app(settings: Settings, *, decoders: Decoders | None = None) -> FastAPI:
+def create_app(
+    settings: Settings, *, decoders: Decoders | None = None, worker: EmbeddedWorker | None = None
+) -> FastAPI:
     """Put the service together; nothing is opened or started before its lifespan begins.
 
     Args:
         settings: what to serve, and how.
         decoders: the weights; by default those of the settings, or the shipped ones.
+        worker: a fine-tuning worker to start and stop with the service, None for none.
 
     Raises:
         StartError: the weights cannot be loaded.
@@ -89,6 +93,7 @@ def create_app(settings: Settings, *, decoders: Decoders | None = None) -> FastA
         unconfirmed_s=settings.version_unconfirmed_s,
         close_s=settings.version_unconfirmed_close_s,
     )
+    state.worker = worker
     state.draining = False
     routes = (users, keys, trials, versions, jobs, forecast, stream, reference, health, pages)
     for part in routes:
@@ -145,9 +150,13 @@ async def _live(app: FastAPI) -> AsyncIterator[None]:
         try:
             await _warm_up(state.engine)
             state.registry.start()
+            if state.worker is not None:
+                state.worker.start()
             log.info("started", base_sha256=state.base_sha256)
             yield
         finally:
+            if state.worker is not None:
+                await state.worker.stop()
             await state.registry.stop()
             await asyncio.to_thread(state.engine.stop)
     finally:

@@ -59,6 +59,18 @@ async def get(tx: AsyncSession, user_id: str) -> User:
     return _to_user(await _find(tx, user_id))
 
 
+async def get_by_uuid(tx: AsyncSession, user_uuid: UUID) -> User:
+    """Find a user by what their rows hang on.
+
+    Raises:
+        UnknownUserError: they were erased.
+    """
+    row = await tx.get(UserRow, user_uuid)
+    if row is None:
+        raise UnknownUserError("The user was erased just now.")
+    return _to_user(row)
+
+
 async def list_page(tx: AsyncSession, *, after: Cursor | None, limit: int) -> Page[User]:
     """List users, newest first."""
     query = page_query(
