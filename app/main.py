@@ -11,6 +11,7 @@ from fastapi import FastAPI
 
 from app.api import (
     errors,
+    export,
     forecast,
     health,
     jobs,
@@ -95,7 +96,19 @@ def create_app(
     )
     state.worker = worker
     state.draining = False
-    routes = (users, keys, trials, versions, jobs, forecast, stream, reference, health, pages)
+    routes = (
+        users,
+        export,
+        keys,
+        trials,
+        versions,
+        jobs,
+        forecast,
+        stream,
+        reference,
+        health,
+        pages,
+    )
     for part in routes:
         app.include_router(part.router)
     errors.install(app)

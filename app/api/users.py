@@ -1,12 +1,6 @@
 """`/v1/users`: who is known."""
 
-import io
-import json
-import zipfile
-from dataclasses import asdict
-
 from fastapi import APIRouter, Request, Response
-from starlette.concurrency import run_in_threadpool
 
 from app.api.dependencies import (
     PAGE_SIZE,
@@ -17,16 +11,16 @@ from app.api.dependencies import (
     PageSize,
     UserId,
 )
+from app.api.export import show_plainly
 from app.api.openapi import DENIED, needs, problems
 from app.api.schemas import PageOut, UserIn, UserOut, UserPatch
 from app.api.versions import show_active
 from app.domain import errors
 from app.domain.access import Scope
 from app.domain.errors import InvalidError
-from app.domain.events import Action, Event
 from app.domain.users import User
 from app.domain.versions import ActiveVersion
-from app.storage import audit, users, versions
+from app.storage import users, versions
 from models.skeleton import SKELETONS
 
 router = APIRouter(tags=["users"])
@@ -141,44 +135,6 @@ async def erase_user(
     await database.forget_erased()
 
 
-@router.get(
-    "/v1/users/{user}/export",
-    summary="Export a user",
-    openapi_extra=ADMIN_ONLY,
-    response_class=Response,
-    responses={
-        200: {
-            "content": {"application/zip": {"schema": {"type": "string", "format": "binary"}}},
-            "description": "A zip archive of JSON files.",
-        },
-        **problems(*DENIED, errors.UnknownUserError),
-    },
-)
-async def export_user(caller: Admin, user: UserId, database: DatabaseNeeded) -> Response:
-    """Give everything that is stored about a user, as a zip archive of JSON files."""
-    async with database.write() as tx:
-        found = await users.get(tx, user)
-        audit.record(tx, Action.USER_EXPORTED, actor=caller.key_id, user_uuid=found.uuid)
-        await tx.flush()
-        events = await audit.list_of_user(tx, found.uuid)
-    archive = await run_in_threadpool(_pack, found, events)
-    headers = {"Content-Disposition": f'attachment; filename="{found.id}.zip"'}
-    return Response(archive, media_type="application/zip", headers=headers)
-
-
 def _show(user: User, active: ActiveVersion, request: Request) -> UserOut:
     """Show a user with the active version: the base, as long as there is no personal one."""
-    return UserOut(**_plain(user), version=show_active(active, request.app.state.base_sha256))
-
-
-def _plain(user: User) -> dict[str, object]:
-    return {name: value for name, value in asdict(user).items() if name != "uuid"}
-
-
-def _pack(user: User, events: list[Event]) -> bytes:
-    files = {"user.json": _plain(user), "events.json": [asdict(event) for event in events]}
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, content in files.items():
-            archive.writestr(name, json.dumps(content, default=str, indent=2))
-    return buffer.getvalue()
+    return UserOut(**show_plainly(user), version=show_active(active, request.app.state.base_sha256))

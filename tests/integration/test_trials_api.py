@@ -359,3 +359,28 @@ async def test_erasing_a_user_erases_what_was_recorded(service):
     assert (await service.call("GET", "/v1/admin/jobs")).json()["items"] == []
     async with service.database.read() as tx:
         assert (await users.list_page(tx, after=None, limit=5)).items == []
+
+
+async def test_export_holds_every_trial_version_and_decision(service):
+    import json
+    import zipfile
+
+    await service.add_user()
+    frames = record_frames()
+    await upload(service, to_json(frames))
+    await finish(service.database, await claim(service.database), blob=b"one")
+    await service.call("POST", "/v1/admin/users/ada/rollback", json={})
+    answer = await service.call("GET", "/v1/users/ada/export")
+    with zipfile.ZipFile(io.BytesIO(answer.content)) as archive:
+        names = set(archive.namelist())
+        tables = {n: json.loads(archive.read(n)) for n in names if n.endswith(".json")}
+        (clip,) = (name for name in names if name.endswith(".npz"))
+        with np.load(io.BytesIO(archive.read(clip)), allow_pickle=False) as arrays:
+            assert np.array_equal(arrays["joints"], frames.joints)
+            assert set(arrays) == {"t", "joints"}
+        assert archive.read("versions/1.safetensors") == b"one"
+    assert [line["kind"] for line in tables["activations.json"]] == ["promoted", "rolled_back"]
+    assert [job["state"] for job in tables["jobs.json"]] == ["succeeded"]
+    assert [version["state"] for version in tables["versions.json"]] == ["retired"]
+    assert "version.rolled_back" in {event["action"] for event in tables["events.json"]}
+    assert "uuid" not in tables["user.json"]
