@@ -1,27 +1,23 @@
 """The trainer that workers use: fits one person's decoder and judges it on clips left out."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 import torch
-from safetensors.torch import save
 
 from app.domain.versions import Verdict
 from app.personalize.judge import Figures, cut_blocks, judge, leave_out
 from app.personalize.run import Learned, Lesson, Report
 from models.baselines import Forecaster
-from models.checkpoint import Checkpoint, load_checkpoint
+from models.checkpoint import dump_personal, load_checkpoint
 from models.data.clips import Clip, data_hash
 from models.data.windows import cut_windows
 from models.decoder import Decoder
 from models.metrics import FRAMES, squared_errors_cm2
 from models.predictor import Predictor
 from models.training.finetune import FinetuneConfig, FinetuneProgress, finetune
-
-FORMAT = "kinecast-personal-1"
 
 
 def train(lesson: Lesson, report: Report) -> Learned:
@@ -40,7 +36,9 @@ def train(lesson: Lesson, report: Report) -> Learned:
     verdict, message = judge(figures)
     decoder = finetune(base.predictor, lesson.clips, config, report=_tell(report, "fitting"))
     metrics = figures.summarise() | {"clips": len(lesson.clips), "clips_held_out": len(held_out)}
-    return Learned(verdict, message, _dump(decoder, base, lesson.clips), metrics)
+    described = {"data": data_hash(list(lesson.clips))}
+    blob = dump_personal(decoder, described, base_sha256=base.sha256)
+    return Learned(verdict, message, blob, metrics)
 
 
 def _tell(report: Report, phase: str) -> Any:  # noqa: ANN401 - the callback of finetune
@@ -71,14 +69,3 @@ def _measure(forecaster: Forecaster, clips: Sequence[Clip]) -> np.ndarray:
         errors = squared_errors_cm2(forecast, windows.future).mean(axis=0)
         rows.append([errors[:frame].mean() for frame in FRAMES])
     return np.array(rows)
-
-
-def _dump(decoder: Decoder, base: Checkpoint, clips: Sequence[Clip]) -> bytes:
-    """Serialise a decoder; the same input gives the same bytes."""
-    tensors = {f"decoder.{name}": t.contiguous() for name, t in decoder.state_dict().items()}
-    described = {
-        "format": FORMAT,
-        "base_sha256": base.sha256,
-        "data": data_hash(list(clips)),
-    }
-    return save(tensors, metadata={"kinecast": json.dumps(described, sort_keys=True)})
