@@ -30,6 +30,7 @@ from app.domain.limits import read_limits
 from app.live.decoders import Decoders
 from app.live.engine import Engine
 from app.live.frames import WindowRules
+from app.live.library import Library
 from app.live.registry import Registry
 from app.live.telemetry import Telemetry
 from app.settings import Settings
@@ -45,6 +46,19 @@ DESCRIPTION = "Forecasts how a person will move in the next half second, and lea
 WARM_UP_S = 60.0
 SMALL_BODY_BYTES = 16_384
 """Users and keys need no more; poses have a limit of their own."""
+ROUTES = (
+    users,
+    export,
+    keys,
+    trials,
+    versions,
+    jobs,
+    forecast,
+    stream,
+    reference,
+    health,
+    pages,
+)
 
 log = structlog.get_logger(__name__)
 
@@ -86,35 +100,28 @@ def create_app(
         queue=settings.forecast_queue,
         threads=settings.engine_threads,
     )
-    state.registry = Registry(
-        partial(watch, state.database),
-        limits=read_limits(settings),
-        telemetry=state.telemetry,
-        watch_s=settings.watch_s,
-        unconfirmed_s=settings.version_unconfirmed_s,
-        close_s=settings.version_unconfirmed_close_s,
-    )
+    state.library = Library(state.database, state.decoders)
+    state.registry = _make_registry(state.database, settings, state.telemetry)
     state.worker = worker
     state.draining = False
-    routes = (
-        users,
-        export,
-        keys,
-        trials,
-        versions,
-        jobs,
-        forecast,
-        stream,
-        reference,
-        health,
-        pages,
-    )
-    for part in routes:
+    for part in ROUTES:
         app.include_router(part.router)
     errors.install(app)
     openapi.install(app)
     _add_middleware(app, settings)
     return app
+
+
+def _make_registry(database: Database, settings: Settings, telemetry: Telemetry) -> Registry:
+    return Registry(
+        partial(watch, database),
+        follow=state.library.follow,
+        limits=read_limits(settings),
+        telemetry=telemetry,
+        watch_s=settings.watch_s,
+        unconfirmed_s=settings.version_unconfirmed_s,
+        close_s=settings.version_unconfirmed_close_s,
+    )
 
 
 def load_decoders(path: Path | None) -> Decoders:

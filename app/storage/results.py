@@ -7,7 +7,13 @@ from typing import Any
 from sqlalchemy.ext.asyncio import AsyncSession
 
 from app.domain.jobs import Claim, JobReason, JobState
-from app.domain.versions import ActivationKind, Verdict, VersionState, may_promote
+from app.domain.versions import (
+    ActivationKind,
+    Standing,
+    Verdict,
+    VersionState,
+    may_promote,
+)
 from app.storage import leases, versions
 from app.storage.versions import NewVersion
 
@@ -57,27 +63,10 @@ async def finish(
             transaction must end without being stored, which raising through it does.
         UnknownUserError: the user was erased just now.
     """
-    standing = await versions.read_standing(tx, held.user_uuid)
     number, reason = None, JobReason.TOO_LITTLE_DATA
+    standing = await versions.read_standing(tx, held.user_uuid)
     if result.blob is not None:
-        won = result.verdict is Verdict.PROMOTE
-        new = NewVersion(
-            blob=result.blob,
-            parent=result.parent,
-            base_sha256=result.base_sha256,
-            trained_on=held.trials,
-            metrics=result.metrics,
-            job_id=held.job_id,
-            state=VersionState.CANDIDATE if won else VersionState.REJECTED,
-        )
-        version = await versions.add(tx, held.user_uuid, new)
-        number = version.number
-        reason = JobReason.AWAITS_PROMOTION if won else _explain(result.verdict)
-        if may_promote(result.verdict, standing, parent=result.parent, sha256=version.sha256):
-            await versions.activate(
-                tx, held.user_uuid, number, kind=ActivationKind.PROMOTED, actor=None
-            )
-            reason = JobReason.PROMOTED
+        number, reason = await _add_version(tx, held, result, result.blob, standing)
         await versions.purge(tx, held.user_uuid, keep=keep)
     state = (
         JobState.SUCCEEDED
@@ -90,6 +79,31 @@ async def finish(
     if not ours:
         raise FencedJobError(f"job {held.job_id} is no longer held by fence {held.fence}")
     return reason
+
+
+async def _add_version(
+    tx: AsyncSession, held: Claim, result: Result, blob: bytes, standing: Standing
+) -> tuple[int, JobReason]:
+    """Store a version and activate it where it may be; gives its number and what became of it."""
+    won = result.verdict is Verdict.PROMOTE
+    new = NewVersion(
+        blob=blob,
+        parent=result.parent,
+        base_sha256=result.base_sha256,
+        trained_on=held.trials,
+        metrics=result.metrics,
+        job_id=held.job_id,
+        state=VersionState.CANDIDATE if won else VersionState.REJECTED,
+    )
+    version = await versions.add(tx, held.user_uuid, new)
+    if not won:
+        return version.number, _explain(result.verdict)
+    if not may_promote(result.verdict, standing, parent=result.parent, sha256=version.sha256):
+        return version.number, JobReason.AWAITS_PROMOTION
+    await versions.activate(
+        tx, held.user_uuid, version.number, kind=ActivationKind.PROMOTED, actor=None
+    )
+    return version.number, JobReason.PROMOTED
 
 
 def _explain(verdict: Verdict) -> JobReason:
