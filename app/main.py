@@ -30,7 +30,6 @@ from app.domain.limits import read_limits
 from app.live.decoders import Decoders
 from app.live.engine import Engine
 from app.live.frames import WindowRules
-from app.live.library import Library
 from app.live.registry import Registry
 from app.live.telemetry import Telemetry
 from app.settings import Settings
@@ -100,7 +99,6 @@ def create_app(
         queue=settings.forecast_queue,
         threads=settings.engine_threads,
     )
-    state.library = Library(state.database, state.decoders)
     state.registry = _make_registry(state.database, settings, state.telemetry)
     state.worker = worker
     state.draining = False
@@ -115,7 +113,6 @@ def create_app(
 def _make_registry(database: Database, settings: Settings, telemetry: Telemetry) -> Registry:
     return Registry(
         partial(watch, database),
-        follow=state.library.follow,
         limits=read_limits(settings),
         telemetry=telemetry,
         watch_s=settings.watch_s,
