@@ -30,6 +30,7 @@ from app.domain.limits import read_limits
 from app.live.decoders import Decoders
 from app.live.engine import Engine
 from app.live.frames import WindowRules
+from app.live.library import Library
 from app.live.registry import Registry
 from app.live.telemetry import Telemetry
 from app.settings import Settings
@@ -99,7 +100,8 @@ def create_app(
         queue=settings.forecast_queue,
         threads=settings.engine_threads,
     )
-    state.registry = _make_registry(state.database, settings, state.telemetry)
+    state.library = Library(state.database, state.decoders)
+    state.registry = _make_registry(state.library, settings, state.telemetry)
     state.worker = worker
     state.draining = False
     for part in ROUTES:
@@ -110,9 +112,10 @@ def create_app(
     return app
 
 
-def _make_registry(database: Database, settings: Settings, telemetry: Telemetry) -> Registry:
+def _make_registry(library: Library, settings: Settings, telemetry: Telemetry) -> Registry:
     return Registry(
-        partial(watch, database),
+        partial(watch, library.database),
+        follow=library.follow,
         limits=read_limits(settings),
         telemetry=telemetry,
         watch_s=settings.watch_s,

@@ -207,10 +207,11 @@ async def forecast(
     started = time.perf_counter()
     state = request.app.state
     wanted = body.request
-    state.decoders.resolve(wanted.version)
+    choice = await state.library.choose(user.uuid, wanted.version)
     ready = _assemble(wanted, user, state.window_rules)
     coverage = settings.coverage if wanted.coverage is None else wanted.coverage
-    result = await _compute(state.engine, ready, wanted.version, coverage)
+    window = EngineRequest(ready.window, wanted.version, coverage, choice)
+    result = await _compute(state.engine, window)
     answer = make_answer(ready, result, skeleton=SKELETONS[user.skeleton], up=user.up)
     if not np.isfinite(answer.frames).all():
         raise InternalError("The forecast was not finite.")
@@ -231,11 +232,16 @@ def _assemble(wanted: ForecastIn, user: User, rules: WindowRules) -> WindowReady
     )
 
 
-async def _compute(
-    engine: Engine, ready: WindowReady, version: RequestedVersion, coverage: float
-) -> EngineResult:
-    request = EngineRequest(window=ready.window, version=version, coverage=coverage)
-    return await asyncio.wrap_future(engine.submit(request))
+async def _compute(engine: Engine, request: EngineRequest) -> EngineResult:
+    """Have a window forecast.
+
+    Raises:
+        VersionUnavailableError: a pinned personal version failed; nothing takes its place.
+    """
+    result = await asyncio.wrap_future(engine.submit(request))
+    if result.version.replaces_pinned:
+        raise errors.VersionUnavailableError(f"Version {request.version} failed.")
+    return result
 
 
 def _check_length(content: object, limit: int) -> None:

@@ -1,6 +1,7 @@
 """Weights: immutable blobs, named by their digest. The digest is checked whenever one is read."""
 
 import hashlib
+from collections.abc import Collection
 from typing import Literal
 
 from sqlalchemy import delete, exists, select
@@ -29,6 +30,14 @@ async def put(tx: AsyncSession, blob: bytes, *, kind: Kind) -> str:
 async def has(tx: AsyncSession, sha256: str) -> bool:
     """Tell whether weights are stored, without reading them."""
     return bool(await tx.scalar(select(exists().where(WeightsRow.sha256 == sha256))))
+
+
+async def list_stored(tx: AsyncSession, sha256s: Collection[str]) -> set[str]:
+    """Tell which of these weights are still stored."""
+    if not sha256s:
+        return set()
+    query = select(WeightsRow.sha256).where(WeightsRow.sha256.in_(sha256s))
+    return set(await tx.scalars(query))
 
 
 async def get(tx: AsyncSession, sha256: str) -> bytes:
