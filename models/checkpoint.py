@@ -190,7 +190,7 @@ def parse_blob(blob: bytes) -> tuple[dict[str, Any], dict[str, Tensor]]:
     try:
         tensors = load_tensors(blob)
         header = json.loads(blob[8 : 8 + int.from_bytes(blob[:8], "little")])
-        metadata: dict[str, Any] = json.loads(header["__metadata__"]["kinecast"])
+        metadata = json.loads(header["__metadata__"]["kinecast"])
     except (
         safetensors.SafetensorError,
         KeyError,
@@ -198,6 +198,8 @@ def parse_blob(blob: bytes) -> tuple[dict[str, Any], dict[str, Tensor]]:
         json.JSONDecodeError,
     ) as error:
         raise CheckpointError(f"not a Kinecast checkpoint: {error}") from error
+    if not isinstance(metadata, dict):
+        raise CheckpointError("not a Kinecast checkpoint: its metadata is no object")
     return metadata, tensors
 
 

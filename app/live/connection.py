@@ -8,7 +8,7 @@ from typing import Protocol, runtime_checkable
 
 import structlog
 
-from app.domain.errors import DrainingError, KinecastError, VersionUnavailableError
+from app.domain.errors import DrainingError, KinecastError, NotReadyError, VersionUnavailableError
 from app.domain.streams import OpenStream
 from app.live.actions import Action, Send, Submit, Ticket
 from app.live.codec import Codec
@@ -145,7 +145,7 @@ class Connection:
         """Load a version that is about to be pinned; the session refuses what was not loaded."""
         number = message.version
         if self._fetch is not None and isinstance(number, int) and number:
-            with suppress(VersionUnavailableError):
+            with suppress(VersionUnavailableError, NotReadyError):
                 self._session.pin(await self._fetch(number))
 
     async def _write(self) -> None:

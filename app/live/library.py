@@ -45,6 +45,10 @@ class Library:
         self._loading = asyncio.Lock()
         self._seen: dict[UUID, tuple[ActiveVersion, Choice]] = {}
 
+    def loaded(self) -> frozenset[str]:
+        """Give the digests of the decoders that are held in memory."""
+        return frozenset(self._loaded)
+
     async def choose(self, user_uuid: UUID, requested: RequestedVersion) -> Choice:
         """Give what a request means now, ready to forecast.
 
@@ -58,7 +62,7 @@ class Library:
             return await self._pin(user_uuid, int(requested))
         async with self.database.read() as tx:
             active = await versions.read_active_of(tx, user_uuid)
-        return await self._make(active)
+        return await self._make(user_uuid, active)
 
     async def follow(self, user_uuids: Collection[UUID]) -> dict[UUID, Choice]:
         """Give what is active for users with open streams; called again and again.
@@ -79,7 +83,7 @@ class Library:
             del self._seen[user]
         for user in self._list_changed(active.items()):
             reason = await self._explain(user)
-            self._seen[user] = (active[user], await self._make(active[user], reason=reason))
+            self._seen[user] = (active[user], await self._make(user, active[user], reason))
         return {user: self._seen[user][1] for user in active}
 
     def _list_changed(self, active: Iterable[tuple[UUID, ActiveVersion]]) -> list[UUID]:
@@ -96,17 +100,32 @@ class Library:
             history = await versions.list_history(tx, user_uuid)
         return history[-1].kind.value if history else "promoted"
 
-    async def _make(self, active: ActiveVersion, *, reason: str = "") -> Choice:
-        """Give the choice for an active version; the base in its place where it cannot be used."""
+    async def _make(self, user_uuid: UUID, active: ActiveVersion, reason: str = "") -> Choice:
+        """Give the choice for an active version, or what is next best where it cannot be used."""
         if active.sha256 is None:
             return Choice(self._decoders.resolve("active"), reason=reason)
         try:
             forecaster = await self._load(active.sha256)
         except _UNUSABLE:
-            base = self._decoders.stamp_base("active", fallback="weights_missing")
-            return Choice(base, reason="weights_missing")
+            return await self._step_down(user_uuid)
         stamp = VersionStamp(active.number, "personal", active.sha256, share=1.0)
         return Choice(stamp, forecaster, reason)
+
+    async def _step_down(self, user_uuid: UUID) -> Choice:
+        """Give what was active before; the base where that cannot be used either."""
+        async with self.database.read() as tx:
+            previous = await versions.read_previous(tx, user_uuid)
+        base = self._decoders.stamp_base("active", fallback="weights_missing")
+        if previous.sha256 is None:
+            return Choice(base, reason="weights_missing")
+        try:
+            forecaster = await self._load(previous.sha256)
+        except _UNUSABLE:
+            return Choice(base, reason="weights_missing")
+        stamp = VersionStamp(
+            previous.number, "personal", previous.sha256, share=1.0, fallback="previous_version"
+        )
+        return Choice(stamp, forecaster, reason="weights_missing")
 
     async def _pin(self, user_uuid: UUID, number: int) -> Choice:
         try:

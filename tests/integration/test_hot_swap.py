@@ -10,6 +10,7 @@ import pytest
 from sqlalchemy import update
 
 from app.settings import Settings
+from app.storage.database import Database
 from app.storage.tables import WeightsRow
 from models.baselines import Forecaster
 from tests.live_support import BOTH, RealServer, StreamClient, serve
@@ -177,14 +178,17 @@ async def test_a_stream_may_pin_a_version_that_is_not_active(server, settings) -
             assert (await client.expect("error", "configured"))["code"] == "unknown_version"
 
 
+async def damage(database: Database, sha256: str) -> None:
+    async with database.write() as tx:
+        rows = update(WeightsRow).where(WeightsRow.sha256 == sha256)
+        await tx.execute(rows.values(blob=b"rotten"))
+
+
 @pytest.mark.asyncio
 async def test_damaged_weights_are_never_used(server, settings) -> None:
     async with open_database(settings) as database:
         version = await add_version(database, "ada", MINE, wins=False)
-        async with database.write() as tx:
-            await tx.execute(
-                update(WeightsRow).where(WeightsRow.sha256 == version.sha256).values(blob=b"rotten")
-            )
+        await damage(database, version.sha256)
         async with watching(server) as watcher:
             await watcher.hear_forecasts(3)
             await asyncio.to_thread(decide, server, "versions/1/promote")
@@ -198,6 +202,33 @@ async def test_damaged_weights_are_never_used(server, settings) -> None:
     assert answer["version"]["fallback"] == "weights_missing"
     np.testing.assert_allclose(answer["frames"], forecast_offline(BASE, PERSON[:15]), atol=1e-5)
     assert (await asyncio.to_thread(ask, server, 1))["code"] == "version_unavailable"
+
+
+@pytest.mark.asyncio
+async def test_behind_damaged_weights_the_version_before_answers(server, settings) -> None:
+    async with open_database(settings) as database:
+        first = await add_version(database, "ada", MINE)
+        second = await add_version(database, "ada", OTHER)
+        await damage(database, second.sha256)
+    answer = await asyncio.to_thread(ask, server)
+    stamp = answer["version"]
+    assert (stamp["number"], stamp["sha256"]) == (1, first.sha256)
+    assert (stamp["kind"], stamp["fallback"]) == ("personal", "previous_version")
+    np.testing.assert_allclose(answer["frames"], forecast_offline(MINE, PERSON[:15]), atol=1e-5)
+    assert answer["severity"] == "degraded"
+
+
+@pytest.mark.asyncio
+async def test_an_erased_person_leaves_no_decoder_behind(server, settings) -> None:
+    async with open_database(settings) as database:
+        await add_version(database, "ada", MINE)
+    await asyncio.to_thread(ask, server)
+    loaded = server.app.state.library.loaded
+    assert len(loaded()) == 1
+    await asyncio.to_thread(server.call, "DELETE", "/v1/users/ada")
+    async with asyncio.timeout(2):
+        while loaded():  # noqa: ASYNC110 - it waits for another thread
+            await asyncio.sleep(0.05)
 
 
 @pytest.mark.asyncio
