@@ -3,14 +3,13 @@
 import asyncio
 import time
 from collections.abc import Awaitable, Callable, Iterable
-from contextlib import suppress
 from typing import Protocol, runtime_checkable
 
 import structlog
 
 from app.domain.errors import DrainingError, KinecastError, NotReadyError, VersionUnavailableError
 from app.domain.streams import OpenStream
-from app.live.actions import Action, Send, Submit, Ticket
+from app.live.actions import Action, Send, Submit, Ticket, describe
 from app.live.codec import Codec
 from app.live.engine import Engine
 from app.live.outbox import Outbox
@@ -135,18 +134,27 @@ class Connection:
         while self._outbox.ending is None:
             data = await self._socket.receive()
             message = self._codec.decode(data)
-            if isinstance(message, Configure):
-                await self._prepare(message)
+            if isinstance(message, Configure) and not await self._prepare(message):
+                continue
             self._perform(self._session.receive(message, time.monotonic()))
             await self._outbox.wait_for_room()
             await asyncio.sleep(0)  # a burst is read without waiting: let the others have a turn
 
-    async def _prepare(self, message: Configure) -> None:
-        """Load a version that is about to be pinned; the session refuses what was not loaded."""
+    async def _prepare(self, message: Configure) -> bool:
+        """Load a version that is about to be pinned; the session refuses what was not loaded.
+
+        Tells whether to go on; without the database the client is told to try again.
+        """
         number = message.version
         if self._fetch is not None and isinstance(number, int) and number:
-            with suppress(VersionUnavailableError, NotReadyError):
+            try:
                 self._session.pin(await self._fetch(number))
+            except VersionUnavailableError:
+                return True
+            except NotReadyError as error:
+                self._outbox.put(describe(error))
+                return False
+        return True
 
     async def _write(self) -> None:
         while True:

@@ -68,6 +68,8 @@ class Watcher:
 @asynccontextmanager
 async def watching(server: RealServer, **options: Any) -> AsyncIterator[Watcher]:
     async with server.stream(**options) as client:
+        # a busy machine shows frames more slowly than their times say, and they seem to grow old
+        await client.send(type="configure", max_age_ms=60_000)
         watcher = Watcher(client)
         task = asyncio.create_task(watcher.show_for_ever())
         yield watcher
@@ -87,6 +89,7 @@ def check_forecasts(heard: list[dict[str, Any]], known: dict[str, Forecaster]) -
     for message in heard:
         if message["type"] == "version":
             announced = message["version"]["sha256"]
+        assert message["type"] != "error", message
         if message["type"] != "forecast":
             continue
         seq = message["seq"]
