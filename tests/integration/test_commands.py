@@ -128,3 +128,5 @@ def test_new_key_is_shown_on_a_terminal_only(tmp_path, monkeypatch):
     assert shown.prefix == "KINECAST_KEY=kc_new "
     assert not (tmp_path / "admin-key").exists()
     assert serve._show_key(settings, None).where == "shown at the first start"
+    (tmp_path / "admin-key").touch()  # an empty file is no key
+    assert serve._show_key(settings, None).where == "shown at the first start"
