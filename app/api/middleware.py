@@ -11,6 +11,9 @@ from app.domain.errors import TooLargeError
 
 log = structlog.get_logger(__name__)
 
+_LONGEST_LENGTH = 18
+"""Digits of a Content-Length that can be meant."""
+
 SECURITY_HEADERS = (
     (b"x-content-type-options", b"nosniff"),
     (b"referrer-policy", b"no-referrer"),
@@ -87,7 +90,7 @@ def _has_body(scope: Scope) -> bool:
 async def _read_body(scope: Scope, receive: Receive, limit: int) -> bytes | None:
     """Collect the body; None once it is too long. A client that leaves gives what came so far."""
     length = dict(scope["headers"]).get(b"content-length", b"0")
-    if not length.isdigit() or int(length) > limit:
+    if not length.isdigit() or len(length) > _LONGEST_LENGTH or int(length) > limit:
         return None
     chunks: list[bytes] = []
     size = 0

@@ -1,5 +1,6 @@
 """Users: the row that everything else of a person hangs on."""
 
+import re
 from uuid import UUID
 
 from sqlalchemy import delete, select, update
@@ -9,7 +10,7 @@ from sqlalchemy.ext.asyncio import AsyncSession
 from app.domain.errors import UnknownUserError, UserExistsError
 from app.domain.events import Action
 from app.domain.pagination import Cursor, Page
-from app.domain.users import UpAxis, User, pseudonym
+from app.domain.users import USER_ID_PATTERN, UpAxis, User, pseudonym
 from app.storage import audit
 from app.storage.paging import page_query
 from app.storage.tables import UserRow
@@ -76,6 +77,7 @@ async def rename(
     Raises:
         UnknownUserError: there is no such user.
     """
+    _require_possible(user_id)
     change = update(UserRow).where(UserRow.id == user_id).values(display_name=display_name)
     row = await tx.scalar(change.returning(UserRow))
     if row is None:
@@ -90,6 +92,7 @@ async def erase(tx: AsyncSession, user_id: str, *, actor: UUID | None, audit_key
     Raises:
         UnknownUserError: there is no such user.
     """
+    _require_possible(user_id)
     gone = await tx.scalar(
         delete(UserRow).where(UserRow.id == user_id).returning(UserRow.uuid)
     )  # the rows that hang on it go by the foreign keys
@@ -99,7 +102,14 @@ async def erase(tx: AsyncSession, user_id: str, *, actor: UUID | None, audit_key
     audit.record(tx, Action.USER_DELETED, actor=actor, subject=subject)
 
 
+def _require_possible(user_id: str) -> None:
+    """Refuse what cannot be an id before a database is asked, which may not even take the text."""
+    if not re.fullmatch(USER_ID_PATTERN, user_id):
+        raise UnknownUserError("There is no such user.")
+
+
 async def _find(tx: AsyncSession, user_id: str) -> UserRow:
+    _require_possible(user_id)
     row = await tx.scalar(select(UserRow).where(UserRow.id == user_id))
     if row is None:
         raise UnknownUserError(f"There is no user {user_id}.")
