@@ -1,6 +1,7 @@
 import json
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -53,7 +54,7 @@ def _pairs(one: Predictor, other: Predictor) -> Iterable[tuple[torch.Tensor, tor
 
 
 def tampered(
-    predictor: Predictor, *, radius_table: torch.Tensor | None = None, **changes: object
+    predictor: Predictor, *, radius_table: torch.Tensor | None = None, **changes: Any
 ) -> bytes:
     described = {"format": "kinecast-base-1", **predictor.describe()}
     from models.skeleton import KINECT_V1
@@ -75,7 +76,7 @@ def tampered(
     ],
 )
 def test_what_does_not_fit_is_refused_with_the_reason(
-    predictor: Predictor, changes: dict[str, object], words: str
+    predictor: Predictor, changes: dict[str, Any], words: str
 ) -> None:
     with pytest.raises(CheckpointError, match=words):
         load_checkpoint(tampered(predictor, **changes))
@@ -103,7 +104,7 @@ DESCRIBED = {"levels": [0.5, 0.9], "calibrated_on": "nobody"}
     ],
 )
 def test_bad_table_of_radii_is_refused(
-    predictor: Predictor, table: torch.Tensor, changes: dict[str, object], words: str
+    predictor: Predictor, table: torch.Tensor, changes: dict[str, Any], words: str
 ) -> None:
     blob = tampered(predictor, radius_table=table, **changes)
     with pytest.raises(CheckpointError, match=words):
