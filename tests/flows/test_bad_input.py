@@ -300,6 +300,28 @@ async def test_a_missing_key_ends_the_stream_after_a_while(served, user) -> None
     assert (closed.value.close_code, closed.value.code) == (4401, "unauthorized")
 
 
+async def _flood(client: websockets.ClientConnection) -> None:
+    for _ in range(2000):
+        await client.ping()
+    await asyncio.wait_for(client.wait_closed(), 10)
+    await client.ping()
+
+
+@pytest.mark.asyncio
+async def test_a_flood_of_pings_is_cut_off_and_a_few_are_answered(served, user) -> None:
+    async with websockets.connect(
+        find_stream_url(served.url, user),
+        subprotocols=[websockets.Subprotocol(JSON)],
+        additional_headers={"Authorization": f"Bearer {served.key}"},
+        proxy=None,
+    ) as client:
+        await asyncio.wait_for(await client.ping(), 5)
+        with pytest.raises(websockets.ConnectionClosed) as caught:
+            await _flood(client)
+    assert caught.value.rcvd is not None
+    assert caught.value.rcvd.code == 4429
+
+
 @pytest.mark.asyncio
 async def test_a_client_that_never_reads_is_given_up_and_disturbs_nobody(served, user) -> None:
     small = socket.socket()
