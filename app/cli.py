@@ -139,6 +139,16 @@ def main() -> None:
         fail(error.message, status=2)
     except KinecastError as error:
         fail(error.message, status=1)
+    except OSError as error:
+        if error.filename is None:  # no place that somebody named, so a defect
+            raise
+        fail(_explain_place(error), status=2)
+
+
+def _explain_place(error: OSError) -> str:
+    if isinstance(error, FileExistsError):  # made a folder where a file is
+        return f"{error.filename} is no folder."
+    return f"Cannot use {error.filename}: {error.strerror}."
 
 
 if __name__ == "__main__":

@@ -100,7 +100,8 @@ def load_checkpoint(source: Path | bytes) -> Checkpoint:
     """Read a checkpoint from a file or from its bytes.
 
     Raises:
-        CheckpointError: not safetensors, not our format, or another skeleton or shape.
+        CheckpointError: not safetensors, not our format, another skeleton or shape, or a bad table
+            of radii.
         OSError: the file cannot be read.
     """
     blob = source if isinstance(source, bytes) else source.read_bytes()
@@ -109,7 +110,7 @@ def load_checkpoint(source: Path | bytes) -> Checkpoint:
     _fill(predictor, tensors, _NET)
     radius, adversary = None, None
     if _RADIUS in tensors:
-        radius = RadiusTable.restore(tensors[_RADIUS].numpy(), metadata["radius"])
+        radius = _restore_radius(tensors[_RADIUS], metadata, predictor.spec)
     if any(name.startswith(_ADVERSARY) for name in tensors):
         size = predictor.config
         hidden = metadata["pretraining"]["adversary_hidden"]
@@ -212,6 +213,20 @@ def _fill(net: nn.Module, tensors: dict[str, Tensor], prefix: str) -> None:
             f"the weights do not fit the net they claim to be: {error}"
         ) from error
     net.eval().requires_grad_(requires_grad=False)
+
+
+def _restore_radius(table: Tensor, metadata: dict[str, Any], spec: MotionSpec) -> RadiusTable:
+    if table.dtype != torch.float32 or table.shape[1:] != (spec.horizon, spec.joints):
+        raise CheckpointError(
+            f"a table of radii must be float32 of levels x {spec.horizon} x {spec.joints}, "
+            f"not {table.dtype} of {' x '.join(map(str, table.shape))}"
+        )
+    try:
+        return RadiusTable.restore(table.numpy(), metadata["radius"])
+    except KeyError as error:
+        raise CheckpointError(f"the table of radii is not described: {error} is missing") from error
+    except (TypeError, ValueError) as error:
+        raise CheckpointError(f"bad table of radii: {error}") from error
 
 
 def _build(metadata: dict[str, Any]) -> Predictor:

@@ -76,18 +76,23 @@ def find_answer(error: type[KinecastError]) -> Answer:
     return next(ANSWERS[kind] for kind in error.__mro__ if kind in ANSWERS)
 
 
+def _clean(text: str) -> str:
+    """Replace what no encoding can send, such as half a surrogate pair of a client's string."""
+    return text.encode("utf-8", "replace").decode()
+
+
 def describe(error: KinecastError) -> dict[str, Any]:
     """Write an error as the members of a problem."""
     problem: dict[str, Any] = {
         "type": f"urn:kinecast:error:{error.code}",
         "title": error.title,
         "status": find_answer(type(error)).status,
-        "detail": error.message,
+        "detail": _clean(error.message),
         "code": error.code,
     }
     if isinstance(error, InvalidError):
         shown = error.errors[:MAX_FIELD_ERRORS] or (FieldError(("body",), error.message),)
-        problem["errors"] = [{"loc": list(item.loc), "msg": item.msg} for item in shown]
+        problem["errors"] = [{"loc": list(item.loc), "msg": _clean(item.msg)} for item in shown]
     if isinstance(error, errors.LimitExceededError):
         problem["limit"] = error.limit
     return problem

@@ -1,7 +1,9 @@
 """What happens to every request before a route sees it."""
 
+import asyncio
 import time
 from collections.abc import Callable
+from contextlib import suppress
 
 import structlog
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -10,6 +12,10 @@ from app.api.errors import to_response
 from app.domain.errors import TooLargeError
 
 log = structlog.get_logger(__name__)
+
+_LONGEST_LENGTH = 18
+"""Digits of a Content-Length that can be meant."""
+_DISCARD_S = 5.0
 
 SECURITY_HEADERS = (
     (b"x-content-type-options", b"nosniff"),
@@ -42,6 +48,7 @@ class BodyLimit:
         limit = self.limit(scope["path"])
         body = await _read_body(scope, receive, limit)
         if body is None:
+            await _discard(receive)
             response = to_response(TooLargeError(f"At most {limit} bytes are allowed here."))
             response.headers["Connection"] = "close"  # the rest of the body is not read
             await response(scope, receive, send)
@@ -87,7 +94,7 @@ def _has_body(scope: Scope) -> bool:
 async def _read_body(scope: Scope, receive: Receive, limit: int) -> bytes | None:
     """Collect the body; None once it is too long. A client that leaves gives what came so far."""
     length = dict(scope["headers"]).get(b"content-length", b"0")
-    if not length.isdigit() or int(length) > limit:
+    if not length.isdigit() or len(length) > _LONGEST_LENGTH or int(length) > limit:
         return None
     chunks: list[bytes] = []
     size = 0
@@ -100,6 +107,14 @@ async def _read_body(scope: Scope, receive: Receive, limit: int) -> bytes | None
         chunks.append(chunk)
         if not message.get("more_body", False):
             return b"".join(chunks)
+
+
+async def _discard(receive: Receive) -> None:
+    """Take in what a client still sends, for a while: many read an answer only after that."""
+    with suppress(TimeoutError):
+        async with asyncio.timeout(_DISCARD_S):
+            while (await receive()).get("more_body", False):
+                pass
 
 
 def _replay(body: bytes, receive: Receive) -> Receive:

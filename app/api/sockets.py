@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 from collections.abc import Iterator
+from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 from uvicorn.protocols.utils import ClientDisconnected
@@ -11,7 +12,14 @@ from websockets.exceptions import PayloadTooBig
 from websockets.frames import Close, Frame, Opcode
 
 from app.api.errors import find_answer
-from app.domain.errors import BadMessageError, DrainingError, KinecastError, TooLargeError
+from app.domain.errors import (
+    BadMessageError,
+    DrainingError,
+    KinecastError,
+    TooFastError,
+    TooLargeError,
+)
+from app.live.accounting import RateLimit
 from app.live.actions import describe, take_leave
 from app.live.codec import Codec
 from app.live.connection import GoneError
@@ -24,6 +32,8 @@ LINGER_S = 2.0
 closed with bytes unread would be reset, and the client would never read why."""
 LEAVE_S = 2.0
 """How long the reason of an end may wait for a client that reads nothing."""
+PINGS_HZ, PING_BURST = 5.0, 60.0
+"""WebSocket pings that a connection may send; libraries send one in some seconds."""
 ABANDON_S = 10.0
 """How long the last bytes may take to leave once a stream has ended."""
 
@@ -103,6 +113,10 @@ class StreamProtocol(WebSocketsSansIOProtocol):
 
     _lingering = False
 
+    def __init__(self, *args: Any, **kwargs: Any) -> None:  # noqa: ANN401 - uvicorn's own
+        super().__init__(*args, **kwargs)
+        self._pings = RateLimit(rate_hz=PINGS_HZ, burst=PING_BURST)
+
     def data_received(self, data: bytes) -> None:
         """Take bytes of the client; of one that was refused, only to throw them away."""
         if not self._lingering:
@@ -116,6 +130,18 @@ class StreamProtocol(WebSocketsSansIOProtocol):
         error: KinecastError = BadMessageError("This is no WebSocket message.")
         if isinstance(self.conn.parser_exc, PayloadTooBig):
             error = TooLargeError(f"A message may have {self.config.ws_max_size} bytes.")
+        self._give_up(error)
+
+    def handle_ping(self) -> None:
+        """Answer a ping, but not a flood of them, which no limit of messages would see."""
+        if self._lingering:
+            self.conn.data_to_send()
+        elif self._pings.take(self.loop.time()):
+            super().handle_ping()
+        else:
+            self._give_up(TooFastError("Too many pings."))
+
+    def _give_up(self, error: KinecastError) -> None:
         code = find_close_code(error)
         self.conn.data_to_send()  # the close frame that we replace
         for frame in self._farewell(error, code):

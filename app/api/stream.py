@@ -61,8 +61,8 @@ router = APIRouter()
 class _Query(Struct, forbid_unknown_fields=True):
     """The parameters of the URL."""
 
-    session: Annotated[str, Meta(pattern=r"^[A-Za-z0-9._-]{1,64}$")] | None = None
-    layout: Annotated[str, Meta(pattern=r"^[0-9a-fA-F]{64}$")] | None = None
+    session: Annotated[str, Meta(pattern=r"^[A-Za-z0-9._-]{1,64}\Z")] | None = None
+    layout: Annotated[str, Meta(pattern=r"^[0-9a-fA-F]{64}\Z")] | None = None
     version: VersionNumber | Literal["active", "base"] = "active"
     coverage: Coverage | None = None
     forecast_every: ForecastEvery = 1

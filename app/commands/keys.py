@@ -9,6 +9,7 @@ from uuid import UUID
 
 import typer
 from rich.table import Column, Table
+from rich.text import Text
 
 from app.commands.output import err, fail, out
 from app.domain.access import ApiKey, NewKey, Scope
@@ -74,7 +75,8 @@ def list_keys(data_dir: DataDir = None, *, as_json: AsJson = False) -> None:
         Column("id", no_wrap=True), "name", "scopes", "user", "created", "last used", "state"
     )
     for key in found:
-        table.add_row(*(", ".join(v) if isinstance(v, list) else v or "" for v in key.values()))
+        cells = (", ".join(v) if isinstance(v, list) else v or "" for v in key.values())
+        table.add_row(*(Text(cell) for cell in cells))  # names are anybody's: no markup in them
     out.print(table)
 
 

@@ -79,31 +79,38 @@ class _Key(NamedTuple):
 
 async def _prepare(settings: Settings) -> _Key:
     """Bring the database up to date and see to an admin key; tells where that key is."""
-    from app.storage.bootstrap import ensure_admin  # noqa: PLC0415 - slow to import
+    from app.storage.bootstrap import (  # noqa: PLC0415 - slow to import
+        ADMIN_KEY_FILE,
+        ensure_admin,
+        load_audit_key,
+    )
     from app.storage.database import Database  # noqa: PLC0415
     from app.storage.migrate import upgrade  # noqa: PLC0415
 
     database = Database.from_settings(settings)
     try:
         await upgrade(database)
-        made = await ensure_admin(database, settings)
+        shown = sys.stdout.isatty()
+        keep_in = None if shown else settings.data_dir / ADMIN_KEY_FILE
+        made = await ensure_admin(database, settings, keep_in=keep_in)
+        load_audit_key(settings)  # made here, where what goes wrong is one line
+    except OSError as error:
+        fail(f"Cannot keep a secret in {settings.data_dir}: {error.strerror or error}.", status=1)
     finally:
         await database.close()
     return _show_key(settings, made)
 
 
 def _show_key(settings: Settings, made: str | None) -> _Key:
-    """Show a new admin key on a terminal; elsewhere, where output is kept, write it to a file."""
-    from app.storage.bootstrap import ADMIN_KEY_FILE, write_secret  # noqa: PLC0415 - slow to import
+    """Show a new admin key on a terminal; elsewhere, where output is kept, name its file."""
+    from app.storage.bootstrap import ADMIN_KEY_FILE  # noqa: PLC0415 - slow to import
 
     path = settings.data_dir / ADMIN_KEY_FILE
     if made is not None and sys.stdout.isatty():
         return _Key(f"{made}  (shown only now; keep it)", f"KINECAST_KEY={made} ")
-    if made is not None:
-        write_secret(path, made)
     if settings.admin_key is not None:
         return _Key("the one in KINECAST_ADMIN_KEY", "KINECAST_KEY=$KINECAST_ADMIN_KEY ")
-    if path.exists():
+    if path.is_file() and path.stat().st_size:
         return _Key(f"in {path}", f"KINECAST_KEY=$(cat {shlex.quote(str(path))}) ")
     return _Key("shown at the first start", "KINECAST_KEY=kc_... ")
 

@@ -1,6 +1,7 @@
 """`kinecast pretrain`, `kinecast calibrate` and `kinecast evaluate`: what a researcher runs."""
 
 import json
+import os
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
@@ -59,6 +60,7 @@ def pretrain_command(
     ] = True,
 ) -> None:
     """Train a base model on recordings (phase 1); a killed run goes on where it was."""
+    _refuse_place("--out", out_file)
     config = _configure(steps=steps, batch=batch, seed=seed, adversary=adversary, patience=patience)
     clips = _read(data, subjects)
     if mix is not None:
@@ -113,6 +115,10 @@ def evaluate_command(
     ] = False,
 ) -> None:
     """Print the error table of a model: cm² and mm, by subject and frame, against baselines."""
+    if json_out is not None and str(json_out) != "-":
+        _refuse_place("--json", json_out)
+        if not json_out.parent.is_dir():
+            fail(f"--json: there is no folder {json_out.parent}", status=2)
     try:
         checkpoint = load_checkpoint(model)
     except (OSError, CheckpointError) as error:
@@ -214,6 +220,17 @@ def _read(path: Path, subjects: str | None) -> list[Clip]:
         return load_clips(path, subjects=subjects.split(",") if subjects else None)
     except (OSError, RecordingError) as error:
         fail(str(error), status=2)
+
+
+def _refuse_place(option: str, path: Path) -> None:
+    """Refuse what no file can be written to, before hours of computing rather than after."""
+    if path.is_dir():
+        fail(f"{option}: {path} is a folder, not a file", status=2)
+    nearest = next(folder for folder in path.absolute().parents if folder.exists())
+    if not nearest.is_dir():
+        fail(f"{option}: {nearest} is no folder", status=2)
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        fail(f"{option}: nothing may be written in {nearest}", status=2)
 
 
 def _person(name: str) -> tuple[str, str]:

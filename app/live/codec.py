@@ -133,7 +133,7 @@ class Codec:
         try:
             peek = self._peek.decode(raw)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-            return Rejected(BadMessageError("A message must be an object."))
+            return self._explain_broken(raw)
         seq = peek.seq if isinstance(peek.seq, int) and not isinstance(peek.seq, bool) else None
         if not isinstance(peek.type, str) or peek.type not in _TYPES:
             return Rejected(InvalidError("There is no message of this type."), seq)
@@ -144,15 +144,20 @@ class Codec:
 
     def _explain_broken(self, raw: bytes) -> Rejected:
         """Tell NaN in JSON, which many encoders write, from broken framing."""
-        if not self.is_binary and (b"NaN" in raw or b"Infinity" in raw):
-            try:
-                lenient = json.loads(raw)
-            except (ValueError, RecursionError):
-                lenient = None
-            if isinstance(lenient, dict):
-                seq = lenient.get("seq")
-                return Rejected(NanInJsonError(), seq if type(seq) is int else None)
-        return Rejected(BadMessageError(f"This is no {'msgpack' if self.is_binary else 'JSON'}."))
+        if self.is_binary:
+            return Rejected(BadMessageError("This is no msgpack object."))
+        try:
+            lenient = json.loads(raw)
+        except (ValueError, RecursionError):
+            return Rejected(BadMessageError("This is no JSON."))
+        if not isinstance(lenient, dict):
+            return Rejected(BadMessageError("A message must be an object."))
+        seq = lenient.get("seq")
+        if b"NaN" in raw or b"Infinity" in raw:
+            return Rejected(NanInJsonError(), seq if type(seq) is int else None)
+        return Rejected(
+            BadFrameError("A number is out of range."), seq if type(seq) is int else None
+        )
 
 
 def _to_bin(value: object) -> object:

@@ -237,7 +237,10 @@ class Engine:
         shape = (self.spec.observe, self.spec.joints, 3)
         try:
             for size in sizes:
-                self.decoders.forecast(np.zeros((size, *shape)))
+                forecast = self.decoders.forecast(np.zeros((size, *shape)))
+                if not np.isfinite(forecast).all():
+                    log.error("the net's forecasts are not finite; its weights are damaged")
+                    return False
         except NET_FAILURES as error:
             self._report(error)
             return False

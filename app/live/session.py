@@ -121,6 +121,7 @@ class Session:
         self._last_seq: int | None = None
         self._until_due = 0
         self._waiting: str | None = None
+        self._unit_was_wrong = False
         self._told_at: dict[str, float] = {}
         self._last_heard = self._last_ping = now
         self._pings = 0
@@ -279,6 +280,7 @@ class Session:
         age_ms = self._clock.observe(frame.t, now)
         if self._buffer.time_unit_is_wrong:
             return self._tell_time_unit(frame.seq, now)
+        self._unit_was_wrong = False
         if age_ms > self.settings.max_age_ms:  # first, so that a backlog is soon worked off
             return self._tell_stale(frame.seq, age_ms)
         outcome = self._buffer.look()
@@ -377,7 +379,8 @@ class Session:
     def _tell_time_unit(self, seq: int, now: float) -> list[Action]:
         self._telemetry.count_frames("waiting")
         self._waiting = None
-        if not self._is_time("unit", now):
+        is_news, self._unit_was_wrong = not self._unit_was_wrong, True
+        if not is_news and not self._is_time("unit", now):
             return []
         self._told_at["unit"] = now
         return [self._tell(BadTimeUnitError("The steps of t are not those of seconds."), seq)]

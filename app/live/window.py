@@ -32,7 +32,7 @@ from app.live.frames import (
     check_times,
     is_within,
 )
-from app.live.history import CAPACITY, History
+from app.live.history import History
 from models.skeleton import Skeleton
 from models.spec import MotionSpec
 
@@ -277,7 +277,7 @@ def assemble(
         if len(confidence) != len(frames):
             raise BadFrameError(f"{len(confidence)} confidences for {len(frames)} frames.")
         check_confidence(confidence, joints)
-    for i in range(max(0, len(frames) - CAPACITY), len(frames)):
+    for i in range(len(frames)):  # all of them: an old frame may be where a joint was last seen
         buffer.push(float(t[i]), frames[i], None if confidence is None else confidence[i])
     outcome = buffer.look(whole=True)
     if isinstance(outcome, Waiting):

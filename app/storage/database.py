@@ -12,7 +12,7 @@ from typing import Any
 
 from sqlalchemy import Connection, event, text
 from sqlalchemy.engine import URL, make_url
-from sqlalchemy.exc import ArgumentError, InterfaceError, OperationalError
+from sqlalchemy.exc import ArgumentError, DBAPIError, IntegrityError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from sqlalchemy.ext.asyncio import AsyncEngine, AsyncSession, create_async_engine
 
@@ -28,7 +28,7 @@ _DRIVERS = {
     "sqlite": "sqlite+aiosqlite",
     "sqlite+aiosqlite": "sqlite+aiosqlite",
 }
-_UNREACHABLE = (OperationalError, InterfaceError, PoolTimeoutError)
+_UNUSABLE = (DBAPIError, PoolTimeoutError)
 
 
 def find_database(settings: Settings) -> URL:
@@ -148,8 +148,10 @@ class Database:
 async def _translate_outage() -> AsyncIterator[None]:
     try:
         yield
-    except _UNREACHABLE as error:
-        raise NotReadyError("The database cannot be reached.") from error
+    except IntegrityError:
+        raise  # a broken promise of the caller's, not of the database
+    except _UNUSABLE as error:  # away, damaged, half migrated, or not to be written to
+        raise NotReadyError("The database cannot be used.") from error
 
 
 def _postgres_options(timeout_s: float) -> dict[str, Any]:

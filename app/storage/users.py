@@ -1,5 +1,6 @@
 """Users: the row that everything else of a person hangs on."""
 
+import re
 from collections.abc import Mapping
 from typing import Any
 from uuid import UUID
@@ -11,7 +12,7 @@ from sqlalchemy.ext.asyncio import AsyncSession
 from app.domain.errors import UnknownUserError, UserExistsError
 from app.domain.events import Action
 from app.domain.pagination import Cursor, Page
-from app.domain.users import UpAxis, User, pseudonym
+from app.domain.users import USER_ID_PATTERN, UpAxis, User, pseudonym
 from app.storage import audit, weights
 from app.storage.paging import page_query
 from app.storage.tables import UserRow
@@ -100,6 +101,7 @@ async def change(
     """
     if not changes.keys() <= CHANGEABLE:
         raise ValueError(f"of a user only {sorted(CHANGEABLE)} may change")
+    _require_possible(user_id)
     row = await tx.scalar(
         update(UserRow).where(UserRow.id == user_id).values(**changes).returning(UserRow)
     )
@@ -115,6 +117,7 @@ async def erase(tx: AsyncSession, user_id: str, *, actor: UUID | None, audit_key
     Raises:
         UnknownUserError: there is no such user.
     """
+    _require_possible(user_id)
     gone = await tx.scalar(
         delete(UserRow).where(UserRow.id == user_id).returning(UserRow.uuid)
     )  # the rows that hang on it go by the foreign keys
@@ -125,7 +128,14 @@ async def erase(tx: AsyncSession, user_id: str, *, actor: UUID | None, audit_key
     audit.record(tx, Action.USER_DELETED, actor=actor, subject=subject)
 
 
+def _require_possible(user_id: str) -> None:
+    """Refuse what cannot be an id before a database is asked, which may not even take the text."""
+    if not re.fullmatch(USER_ID_PATTERN, user_id):
+        raise UnknownUserError("There is no such user.")
+
+
 async def _find(tx: AsyncSession, user_id: str) -> UserRow:
+    _require_possible(user_id)
     row = await tx.scalar(select(UserRow).where(UserRow.id == user_id))
     if row is None:
         raise UnknownUserError(f"There is no user {user_id}.")

@@ -1,6 +1,7 @@
 """What a service does with bad input: the contract's error, and it goes on where it can."""
 
 import asyncio
+import http.client
 import json
 import math
 import socket
@@ -107,12 +108,25 @@ def test_half_a_msgpack_body_cannot_be_read(served, user, half) -> None:
     assert_problem(answer, 400, "bad_message")
 
 
-def test_a_body_of_50_mb_is_refused_before_it_is_read(served, user) -> None:
+def test_a_body_of_50_mb_is_refused_and_never_held(served, user) -> None:
     begin = time.monotonic()
     answer = forecast(served, user, content=b" " * 50_000_000, headers=JSON_TYPE)
     assert_problem(answer, 413, "too_large")
     assert time.monotonic() - begin < 10
     assert forecast(served, user, json={"frames": GOOD}).status_code == 200
+
+
+@pytest.mark.parametrize("size", [3_000_000, 50_000_000])
+def test_a_client_that_reads_only_after_it_has_sent_is_told_as_well(served, user, size) -> None:
+    """Python's own client sends the whole body first and would see a reset connection."""
+    host = served.url.rpartition("/")[2]
+    client = http.client.HTTPConnection(host, timeout=30)
+    headers = JSON_TYPE | {"Authorization": f"Bearer {served.key}"}
+    client.request("POST", f"/v1/users/{user}/forecast", body=b" " * size, headers=headers)
+    answer = client.getresponse()
+    assert answer.status == 413
+    assert json.loads(answer.read())["code"] == "too_large"
+    client.close()
 
 
 def test_keys_and_users_that_do_not_fit_are_refused(served, user) -> None:
@@ -284,6 +298,28 @@ async def test_a_missing_key_ends_the_stream_after_a_while(served, user) -> None
         async with open_stream(served.url, user, key=None, wait_s=10.0):
             pass
     assert (closed.value.close_code, closed.value.code) == (4401, "unauthorized")
+
+
+async def _flood(client: websockets.ClientConnection) -> None:
+    for _ in range(2000):
+        await client.ping()
+    await asyncio.wait_for(client.wait_closed(), 10)
+    await client.ping()
+
+
+@pytest.mark.asyncio
+async def test_a_flood_of_pings_is_cut_off_and_a_few_are_answered(served, user) -> None:
+    async with websockets.connect(
+        find_stream_url(served.url, user),
+        subprotocols=[websockets.Subprotocol(JSON)],
+        additional_headers={"Authorization": f"Bearer {served.key}"},
+        proxy=None,
+    ) as client:
+        await asyncio.wait_for(await client.ping(), 5)
+        with pytest.raises(websockets.ConnectionClosed) as caught:
+            await _flood(client)
+    assert caught.value.rcvd is not None
+    assert caught.value.rcvd.code == 4429
 
 
 @pytest.mark.asyncio

@@ -83,12 +83,20 @@ def test_without_subjects_there_is_one_row_per_method(collection: Path, tmp_path
         (["pretrain", "--data", "nowhere", "--out", "{out}"], "nowhere"),
         (["pretrain", "--data", "{data}", "--out", "{out}", "--leave-out", "7"], "utd-mhad/7"),
         (["pretrain", "--data", "{data}", "--out", "{out}", "--leave-out", "a/7"], "no clips of"),
+        (["pretrain", "--data", "nowhere", "--out", "{folder}"], "is a folder"),
+        (["pretrain", "--data", "nowhere", "--out", "{data}/a"], "is no folder"),
+        (["evaluate", "--data", "nowhere", "--json", "{folder}/none/a.json"], "there is no folder"),
+        (["evaluate", "--data", "nowhere", "--json", "{folder}"], "is a folder"),
     ],
 )
 def test_bad_usage_is_one_clear_line_and_exit_status_2(
     collection: Path, tmp_path: Path, arguments: list[str], words: str
 ) -> None:
-    places = {"data": str(collection), "out": str(tmp_path / "out.safetensors")}
+    places = {
+        "data": str(collection),
+        "out": str(tmp_path / "out.safetensors"),
+        "folder": str(tmp_path),
+    }
     result = CliRunner().invoke(app, [argument.format(**places) for argument in arguments])
     assert result.exit_code == 2
     assert words in result.stderr.replace("\n", " ")

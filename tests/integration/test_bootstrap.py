@@ -1,11 +1,14 @@
+import resource
+import signal
 import stat
+from contextlib import contextmanager
 
 import pytest
 
 from app.domain.access import Scope
 from app.domain.errors import StartError, UnauthorizedError
 from app.storage import keys
-from app.storage.bootstrap import ensure_admin, load_audit_key, write_secret
+from app.storage.bootstrap import ensure_admin, load_audit_key, read_secret, write_secret
 from tests.support import ADMIN_KEY, make_settings
 
 
@@ -49,3 +52,48 @@ def test_secret_replaces_a_file_that_others_can_read(tmp_path):
     write_secret(path, "new")
     assert path.read_text() == "new\n"
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert [file.name for file in tmp_path.iterdir()] == ["key"]
+
+
+@pytest.mark.asyncio
+async def test_no_key_becomes_valid_that_could_not_be_written(database, settings, tmp_path):
+    without = settings.model_copy(update={"admin_key": None})
+    blocked = tmp_path / "blocked"
+    blocked.mkdir()
+    with pytest.raises(OSError, match="blocked"):
+        await ensure_admin(database, without, keep_in=blocked)
+    async with database.read() as tx:
+        assert await keys.count_admins(tx) == 0
+    made = await ensure_admin(database, without, keep_in=tmp_path / "key")
+    assert made is not None
+    assert read_secret(tmp_path / "key") == made
+
+
+@contextmanager
+def full_disk():
+    """No file may grow: what a full disk does to a writer, as far as one process can have it."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        signal.signal(signal.SIGXFSZ, before)
+
+
+def test_full_disk_leaves_the_old_secret_and_no_draft(tmp_path):
+    path = tmp_path / "key"
+    write_secret(path, "old")
+    with full_disk(), pytest.raises(OSError, match="too large"):
+        write_secret(path, "new")
+    assert [file.name for file in tmp_path.iterdir()] == ["key"]
+    assert read_secret(path) == "old"
+
+
+def test_empty_audit_key_is_made_anew(tmp_path):
+    (tmp_path / "audit-key").touch()
+    settings = make_settings(tmp_path)
+    made = load_audit_key(settings)
+    assert len(made) == 64
+    assert load_audit_key(settings) == made

@@ -128,3 +128,15 @@ def test_new_key_is_shown_on_a_terminal_only(tmp_path, monkeypatch):
     assert shown.prefix == "KINECAST_KEY=kc_new "
     assert not (tmp_path / "admin-key").exists()
     assert serve._show_key(settings, None).where == "shown at the first start"
+    (tmp_path / "admin-key").touch()  # an empty file is no key
+    assert serve._show_key(settings, None).where == "shown at the first start"
+
+
+@pytest.mark.parametrize("command", [("serve", "--port", "0"), ("keys", "list"), ("db", "upgrade")])
+@pytest.mark.parametrize("place", ["file", "file/data"])
+def test_data_folder_that_cannot_be_is_one_line(kinecast, tmp_path, command, place):
+    (tmp_path / "file").touch()
+    done = kinecast(*command, "--data-dir", str(tmp_path / place))
+    assert done.returncode == 2, done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1, done.stderr
+    assert str(tmp_path / "file") in done.stderr

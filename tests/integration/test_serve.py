@@ -184,3 +184,13 @@ def test_database_out_of_reach_is_one_clear_line(model, tmp_path):
     env = environment(model, KINECAST_DATABASE_URL="postgresql://nobody@127.0.0.1:1/none")
     done = run("serve", "--port", "0", "--data-dir", str(tmp_path), env=env)
     assert_one_line(done, 1, "database cannot be reached")
+
+
+def test_key_that_cannot_be_kept_is_one_clear_line_and_none_is_made(model, tmp_path):
+    (tmp_path / "admin-key").mkdir()
+    env = environment(model)
+    done = run("serve", "--port", "0", "--data-dir", str(tmp_path), env=env)
+    assert_one_line(done, 1, "secret", str(tmp_path), "directory")
+    assert (
+        json.loads(run("keys", "list", "--json", "--data-dir", str(tmp_path), env=env).stdout) == []
+    )

@@ -88,8 +88,10 @@ async def test_forecast_every_and_coverage_hold_from_the_frame_that_is_named(ser
         assert configured["settings"]["coverage"] == 0.5
         assert configured["from_seq"] == 20
         await show(client, PERSON[20:27], seq=20)
-        seqs = [(await client.expect("forecast"))["seq"] for _ in range(3)]
-    assert seqs in ([20, 23, 26], [19, 20, 23])
+        seqs = [(await client.expect("forecast"))["seq"]]
+        while seqs[-1] != 26:  # the newest that is due is always answered, others may be skipped
+            seqs.append((await client.expect("forecast"))["seq"])
+    assert seqs == sorted(set(seqs) & {19, 20, 23, 26})
 
 
 BAD_FRAMES = {

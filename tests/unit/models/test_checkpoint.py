@@ -1,6 +1,7 @@
 import json
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -52,12 +53,16 @@ def _pairs(one: Predictor, other: Predictor) -> Iterable[tuple[torch.Tensor, tor
     return zip(one.state_dict().values(), other.state_dict().values(), strict=True)
 
 
-def tampered(predictor: Predictor, **changes: object) -> bytes:
+def tampered(
+    predictor: Predictor, *, radius_table: torch.Tensor | None = None, **changes: Any
+) -> bytes:
     described = {"format": "kinecast-base-1", **predictor.describe()}
     from models.skeleton import KINECT_V1
 
     described |= {"skeleton": list(KINECT_V1.joints)} | changes
     state = {"net." + k: v.contiguous() for k, v in predictor.state_dict().items()}
+    if radius_table is not None:
+        state["radius"] = radius_table
     return save(state, metadata={"kinecast": json.dumps(described)})
 
 
@@ -71,7 +76,7 @@ def tampered(predictor: Predictor, **changes: object) -> bytes:
     ],
 )
 def test_what_does_not_fit_is_refused_with_the_reason(
-    predictor: Predictor, changes: dict[str, object], words: str
+    predictor: Predictor, changes: dict[str, Any], words: str
 ) -> None:
     with pytest.raises(CheckpointError, match=words):
         load_checkpoint(tampered(predictor, **changes))
@@ -80,3 +85,27 @@ def test_what_does_not_fit_is_refused_with_the_reason(
 def test_a_file_without_our_metadata_is_refused() -> None:
     with pytest.raises(CheckpointError, match="not a Kinecast checkpoint"):
         load_checkpoint(save({"a": torch.zeros(1)}))
+
+
+GOOD_TABLE = torch.ones(2, 15, 20)
+DESCRIBED = {"levels": [0.5, 0.9], "calibrated_on": "nobody"}
+
+
+@pytest.mark.parametrize(
+    ("table", "changes", "words"),
+    [
+        (GOOD_TABLE, {}, "'radius' is missing"),
+        (GOOD_TABLE, {"radius": {"levels": [0.5, 0.9]}}, "'calibrated_on' is missing"),
+        (GOOD_TABLE, {"radius": DESCRIBED | {"levels": 3}}, "bad table"),
+        (GOOD_TABLE, {"radius": DESCRIBED | {"levels": [0.5]}}, "1 levels"),
+        (GOOD_TABLE * torch.nan, {"radius": DESCRIBED}, "finite"),
+        (torch.ones(2), {"radius": DESCRIBED}, "levels x 15 x 20"),
+        (GOOD_TABLE.double(), {"radius": DESCRIBED}, "float32"),
+    ],
+)
+def test_bad_table_of_radii_is_refused(
+    predictor: Predictor, table: torch.Tensor, changes: dict[str, Any], words: str
+) -> None:
+    blob = tampered(predictor, radius_table=table, **changes)
+    with pytest.raises(CheckpointError, match=words):
+        load_checkpoint(blob)

@@ -223,3 +223,24 @@ def test_a_radius_that_is_not_calibrated_is_null() -> None:
     assert json.loads(CODECS[JSON].encode(message))["radius"] is None
     assert msgspec.msgpack.decode(CODECS[MSGPACK].encode(message))["radius"] is None
     assert json.loads(CODECS[JSON].encode(Bye("draining", 1.0)))["type"] == "bye"
+
+
+BESIDE_NAN = (
+    b'{"type":"frame","seq":1,"ts":1,"t":1,"joints":[[NaN,0,0]]}',
+    b'{"type":"frame","seq":1.0,"t":1,"joints":[[NaN,0,0]]}',
+    b'{"type":"frame","seq":1,"t":"1","joints":[[NaN,0,0]]}',
+)
+
+
+@pytest.mark.parametrize("raw", BESIDE_NAN)
+def test_nan_beside_another_mistake_does_not_close_the_stream(raw: bytes) -> None:
+    rejected = CODECS[JSON].decode(raw.decode())
+    assert isinstance(rejected, Rejected)
+    assert rejected.error.code == "nan_in_json"
+
+
+def test_a_number_out_of_range_is_a_bad_frame() -> None:
+    raw = b'{"type":"frame","seq":1e400,"t":1,"joints":null}'
+    rejected = CODECS[JSON].decode(raw.decode())
+    assert isinstance(rejected, Rejected)
+    assert rejected.error.code == "bad_frame"

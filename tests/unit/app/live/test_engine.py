@@ -285,3 +285,11 @@ def test_a_radius_is_given_only_where_it_is_calibrated() -> None:
     np.testing.assert_allclose(decoders.radius(0.5), RADIUS.radius(0.5))
     assert decoders.radius(0.999) is None
     assert Decoders(ZeroVelocity(15), base_sha256="ab").radius(0.5) is None
+
+
+def test_a_net_of_damaged_weights_is_not_ready(start) -> None:
+    class Damaged:
+        def __call__(self, window: torch.Tensor) -> torch.Tensor:
+            return torch.full((len(window), 15, *window.shape[2:]), float("nan"))
+
+    assert not start(Damaged()).is_ready

@@ -450,3 +450,13 @@ TestBookkeeping = Bookkeeping.TestCase
 TestBookkeeping.settings = hypothesis_settings(
     max_examples=40, stateful_step_count=30, deadline=None
 )
+
+
+def test_a_second_wrong_unit_of_time_is_told_even_at_once() -> None:
+    stream = Stream()
+    told = []
+    t = 0.0
+    for seq in range(72):
+        t += 33.3 if seq % 36 >= 24 else 1 / 30
+        told += [m.code for m in sent(stream.say(frame(seq, t))) if isinstance(m, ErrorMessage)]
+    assert told.count("bad_time_unit") >= 2

@@ -275,3 +275,18 @@ def test_whatever_is_missing_the_window_stays_near_the_person(steps, holes, lost
             assert np.isfinite(outcome.last_joints).all()
             far = np.linalg.norm(outcome.window - outcome.window[:, HIP : HIP + 1], axis=-1)
             assert far.max() < 2.0
+
+
+def test_a_joint_seen_only_long_ago_is_carried_as_on_a_stream() -> None:
+    """600 frames may come in a request; where a joint was last seen may be hundreds back."""
+    frames = np.repeat(PERSON[:40], 6, axis=0)[:240] + 0.0
+    t = np.arange(240) / 120
+    frames[60:, 11] = np.nan
+    buffer = FrameBuffer(KINECT_V1, up="y")
+    for when, pose in zip(t, frames, strict=True):
+        buffer.push(float(when), pose, None)
+    streamed = buffer.look()
+    asked = assemble(frames, t, None, skeleton=KINECT_V1, up="y")
+    assert isinstance(streamed, WindowReady)
+    np.testing.assert_allclose(asked.window, streamed.window, atol=1e-9)
+    assert asked.filled == streamed.filled
