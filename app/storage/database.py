@@ -12,7 +12,13 @@ from typing import Any
 
 from sqlalchemy import Connection, event, text
 from sqlalchemy.engine import URL, make_url
-from sqlalchemy.exc import ArgumentError, DBAPIError, IntegrityError
+from sqlalchemy.exc import (
+    ArgumentError,
+    DBAPIError,
+    IntegrityError,
+    InterfaceError,
+    OperationalError,
+)
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from sqlalchemy.ext.asyncio import AsyncEngine, AsyncSession, create_async_engine
 
@@ -28,7 +34,7 @@ _DRIVERS = {
     "sqlite": "sqlite+aiosqlite",
     "sqlite+aiosqlite": "sqlite+aiosqlite",
 }
-_UNUSABLE = (DBAPIError, PoolTimeoutError)
+_UNREACHABLE = (OperationalError, InterfaceError, PoolTimeoutError)
 
 
 def find_database(settings: Settings) -> URL:
@@ -150,7 +156,9 @@ async def _translate_outage() -> AsyncIterator[None]:
         yield
     except IntegrityError:
         raise  # a broken promise of the caller's, not of the database
-    except _UNUSABLE as error:  # away, damaged, half migrated, or not to be written to
+    except _UNREACHABLE as error:
+        raise NotReadyError("The database cannot be reached.") from error
+    except DBAPIError as error:  # damaged, half migrated, or not to be written to
         raise NotReadyError("The database cannot be used.") from error
 
 
