@@ -48,6 +48,18 @@ LAZY = (
         "Print the error table of a model on recordings.",
     ),
     Lazy(
+        "worker",
+        "app.commands.worker",
+        "worker_command",
+        "Fine-tune for the same database as the service.",
+    ),
+    Lazy(
+        "import",
+        "app.commands.import_",
+        "import_command",
+        "Upload recordings as trials.",
+    ),
+    Lazy(
         "demo",
         "app.commands.demo.command",
         "demo_command",

@@ -9,13 +9,28 @@ from pathlib import Path
 import structlog
 from fastapi import FastAPI
 
-from app.api import errors, forecast, health, keys, openapi, pages, reference, stream, users
+from app.api import (
+    errors,
+    export,
+    forecast,
+    health,
+    jobs,
+    keys,
+    openapi,
+    pages,
+    reference,
+    stream,
+    trials,
+    users,
+    versions,
+)
 from app.api.middleware import BodyLimit, RequestLog
 from app.domain.errors import StartError
 from app.domain.limits import read_limits
 from app.live.decoders import Decoders
 from app.live.engine import Engine
 from app.live.frames import WindowRules
+from app.live.library import Library
 from app.live.registry import Registry
 from app.live.telemetry import Telemetry
 from app.settings import Settings
@@ -24,22 +39,39 @@ from app.storage.database import Database
 from app.storage.migrate import check_current
 from app.storage.sessions import watch
 from app.version import read_version
+from app.worker.embedded import EmbeddedWorker
 from models.checkpoint import SHIPPED, CheckpointError, load_checkpoint
 
 DESCRIPTION = "Forecasts how a person will move in the next half second, and learns each person."
 WARM_UP_S = 60.0
 SMALL_BODY_BYTES = 16_384
 """Users and keys need no more; poses have a limit of their own."""
+ROUTES = (
+    users,
+    export,
+    keys,
+    trials,
+    versions,
+    jobs,
+    forecast,
+    stream,
+    reference,
+    health,
+    pages,
+)
 
 log = structlog.get_logger(__name__)
 
 
-def create_app(settings: Settings, *, decoders: Decoders | None = None) -> FastAPI:
+def create_app(
+    settings: Settings, *, decoders: Decoders | None = None, worker: EmbeddedWorker | None = None
+) -> FastAPI:
     """Put the service together; nothing is opened or started before its lifespan begins.
 
     Args:
         settings: what to serve, and how.
         decoders: the weights; by default those of the settings, or the shipped ones.
+        worker: a fine-tuning worker to start and stop with the service, None for none.
 
     Raises:
         StartError: the weights cannot be loaded.
@@ -68,21 +100,28 @@ def create_app(settings: Settings, *, decoders: Decoders | None = None) -> FastA
         queue=settings.forecast_queue,
         threads=settings.engine_threads,
     )
-    state.registry = Registry(
-        partial(watch, state.database),
-        limits=read_limits(settings),
-        telemetry=state.telemetry,
-        watch_s=settings.watch_s,
-        unconfirmed_s=settings.version_unconfirmed_s,
-        close_s=settings.version_unconfirmed_close_s,
-    )
+    state.library = Library(state.database, state.decoders)
+    state.registry = _make_registry(state.library, settings, state.telemetry)
+    state.worker = worker
     state.draining = False
-    for part in (users, keys, forecast, stream, reference, health, pages):
+    for part in ROUTES:
         app.include_router(part.router)
     errors.install(app)
     openapi.install(app)
     _add_middleware(app, settings)
     return app
+
+
+def _make_registry(library: Library, settings: Settings, telemetry: Telemetry) -> Registry:
+    return Registry(
+        partial(watch, library.database),
+        follow=library.follow,
+        limits=read_limits(settings),
+        telemetry=telemetry,
+        watch_s=settings.watch_s,
+        unconfirmed_s=settings.version_unconfirmed_s,
+        close_s=settings.version_unconfirmed_close_s,
+    )
 
 
 def load_decoders(path: Path | None) -> Decoders:
@@ -112,6 +151,8 @@ def _add_middleware(app: FastAPI, settings: Settings) -> None:
     forecast_bytes = forecast.forecast_body_limit(settings)
 
     def limit(path: str) -> int:
+        if path.endswith("/trials"):
+            return settings.trial_bytes
         return forecast_bytes if path.endswith("/forecast") else SMALL_BODY_BYTES
 
     app.add_middleware(BodyLimit, limit=limit)
@@ -129,9 +170,13 @@ async def _live(app: FastAPI) -> AsyncIterator[None]:
         try:
             await _warm_up(state.engine)
             state.registry.start()
+            if state.worker is not None:
+                state.worker.start()
             log.info("started", base_sha256=state.base_sha256)
             yield
         finally:
+            if state.worker is not None:
+                await state.worker.stop()
             await state.registry.stop()
             await asyncio.to_thread(state.engine.stop)
     finally:

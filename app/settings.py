@@ -119,6 +119,13 @@ class Settings(BaseSettings):
     forecast_frames: Annotated[int, Field(ge=15)] = Field(
         600, description="Most frames in one forecast request."
     )
+    trial_bytes: Annotated[int, Field(ge=65_536)] = Field(
+        67_108_864, description="Largest body of an uploaded trial."
+    )
+    clips: Count = Field(500, description="Most clips of a trial.")
+    frames_per_clip: Annotated[int, Field(ge=30)] = Field(
+        9000, description="Most frames of a clip."
+    )
 
     # Streams and the database.
     watch_s: Positive = Field(
@@ -129,6 +136,31 @@ class Settings(BaseSettings):
     )
     version_unconfirmed_close_s: Positive = Field(
         60.0, description="Without a database for this long, streams are closed."
+    )
+
+    # Fine-tuning.
+    finetune_threads: Count = Field(1, description="Threads of one fine-tuning run.")
+    finetune_nice: Annotated[int, Field(ge=0, le=19)] = Field(
+        10, description="How far fine-tuning steps back behind forecasting (Unix niceness)."
+    )
+    finetune_timeout_s: Positive = Field(
+        900.0, description="A fine-tuning run that takes longer is ended and tried again."
+    )
+    worker_poll_s: Positive = Field(1.0, description="How often an idle worker looks for a job.")
+    lease_s: Positive = Field(
+        30.0, description="A worker that is silent for this long has lost its job to the next one."
+    )
+    heartbeat_s: Positive = Field(5.0, description="How often a worker renews its lease.")
+    versions_kept: Annotated[int, Field(ge=0)] = Field(
+        10,
+        description="Newest versions of a user whose weights are kept; "
+        "the active one and its parent always are.",
+    )
+    parse_timeout_s: Positive = Field(
+        30.0, description="Longest time to read the files of one upload."
+    )
+    parse_bytes: Annotated[int, Field(ge=268_435_456)] = Field(
+        2_147_483_648, description="Most memory for reading the files of one upload."
     )
 
 

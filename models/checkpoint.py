@@ -1,5 +1,6 @@
 """Weights as safetensors with readable metadata; nothing here can run code from a file."""
 
+import copy
 import hashlib
 import json
 import os
@@ -9,19 +10,22 @@ from typing import Any
 
 import safetensors
 import torch
+from jaxtyping import Float
 from safetensors.torch import load as load_tensors
 from safetensors.torch import save as save_tensors
 from torch import Tensor, nn
 
+from models.baselines import Forecaster
+from models.decoder import Decoder
 from models.latent import Adversary
 from models.predictor import NetConfig, Predictor
 from models.skeleton import KINECT_V1
 from models.spec import MotionSpec
 from models.uncertainty import RadiusTable
 
-FORMAT = "kinecast-base-1"
+FORMAT, PERSONAL_FORMAT = "kinecast-base-1", "kinecast-personal-1"
 SHIPPED = Path(__file__).parent / "pretrained" / "base.safetensors"
-_NET, _ADVERSARY, _RADIUS = "net.", "adversary.", "radius"
+_NET, _ADVERSARY, _RADIUS, _DECODER = "net.", "adversary.", "radius", "decoder."
 
 
 class CheckpointError(ValueError):
@@ -115,6 +119,62 @@ def load_checkpoint(source: Path | bytes) -> Checkpoint:
     return Checkpoint(predictor, metadata, hashlib.sha256(blob).hexdigest(), radius, adversary)
 
 
+@dataclass(frozen=True, slots=True)
+class PersonalDecoder:
+    """One person's decoder behind the shared encoder; called like every forecaster.
+
+    Attributes:
+        base: the net that it belongs to; its encoder is shared, its decoder not used.
+        decoder: the person's, in evaluation mode.
+        metadata: what the file says about itself.
+    """
+
+    base: Predictor
+    decoder: Decoder
+    metadata: dict[str, Any]
+
+    def __call__(
+        self, window: Float[Tensor, "batch observe joint 3"]
+    ) -> Float[Tensor, "batch horizon joint 3"]:
+        """Forecast the frames that follow each window: metres, in the frame of the input."""
+        encoded = self.base.encode(window)
+        steps = self.base.spec.horizon
+        moved = self.decoder(encoded.z, encoded.c, encoded.seed, horizon=steps)
+        return self.base.normalizer.from_net(moved, window, encoded.placement)
+
+
+def dump_personal(decoder: Decoder, metadata: dict[str, Any], *, base_sha256: str) -> bytes:
+    """Serialise one person's decoder; the same input gives the same bytes."""
+    tensors = {_DECODER + name: t.contiguous() for name, t in decoder.state_dict().items()}
+    described = {"format": PERSONAL_FORMAT, "base_sha256": base_sha256} | metadata
+    return save_tensors(tensors, metadata={"kinecast": json.dumps(described, sort_keys=True)})
+
+
+def load_personal(blob: bytes, base: Forecaster, *, base_sha256: str) -> PersonalDecoder:
+    """Read one person's decoder, to run behind the base that it was fitted on.
+
+    Args:
+        blob: as `dump_personal` makes it.
+        base: the base model.
+        base_sha256: what its weights are called.
+
+    Raises:
+        CheckpointError: not such a file, fitted on another base, or weights that are not finite.
+    """
+    metadata, tensors = parse_blob(blob)
+    if metadata.get("format") != PERSONAL_FORMAT:
+        raise CheckpointError(f"format {metadata.get('format')!r} is not {PERSONAL_FORMAT!r}")
+    if metadata.get("base_sha256") != base_sha256:
+        raise CheckpointError(f"fitted on the base {metadata.get('base_sha256')}")
+    if not isinstance(base, Predictor):
+        raise CheckpointError("the base has no decoder that could be exchanged")
+    if not all(bool(tensor.isfinite().all()) for tensor in tensors.values()):
+        raise CheckpointError("the weights are not finite")
+    decoder = copy.deepcopy(base.decoder)
+    _fill(decoder, tensors, _DECODER)
+    return PersonalDecoder(base, decoder, metadata)
+
+
 def write_state(path: Path, tensors: dict[str, Tensor], meta: dict[str, Any]) -> None:
     """Save the state of a training run atomically (same container as a checkpoint)."""
     whole = {name: tensor.detach().cpu().contiguous().clone() for name, tensor in tensors.items()}
@@ -131,7 +191,7 @@ def parse_blob(blob: bytes) -> tuple[dict[str, Any], dict[str, Tensor]]:
     try:
         tensors = load_tensors(blob)
         header = json.loads(blob[8 : 8 + int.from_bytes(blob[:8], "little")])
-        metadata: dict[str, Any] = json.loads(header["__metadata__"]["kinecast"])
+        metadata = json.loads(header["__metadata__"]["kinecast"])
     except (
         safetensors.SafetensorError,
         KeyError,
@@ -139,6 +199,8 @@ def parse_blob(blob: bytes) -> tuple[dict[str, Any], dict[str, Tensor]]:
         json.JSONDecodeError,
     ) as error:
         raise CheckpointError(f"not a Kinecast checkpoint: {error}") from error
+    if not isinstance(metadata, dict):
+        raise CheckpointError("not a Kinecast checkpoint: its metadata is no object")
     return metadata, tensors
 
 

@@ -7,6 +7,7 @@ from fastapi import Depends, Path, Query, Request
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from starlette.requests import HTTPConnection
 
+from app.api.bodies import JSON_TYPE
 from app.domain.access import Principal, Scope
 from app.domain.errors import UnauthorizedError, UnsupportedMediaTypeError
 from app.domain.pagination import DEFAULT_PAGE, MAX_PAGE, Cursor, decode_cursor
@@ -14,9 +15,6 @@ from app.domain.users import User
 from app.settings import Settings
 from app.storage import keys, users
 from app.storage.database import Database
-
-JSON_TYPE = "application/json"
-MSGPACK_TYPE = "application/msgpack"
 
 bearer_scheme = HTTPBearer(
     auto_error=False, scheme_name="ApiKey", description="An API key, `kc_…`."
@@ -111,6 +109,7 @@ async def _require_json(request: Request, caller: Admin) -> None:
         raise UnsupportedMediaTypeError(f"Send the body as {JSON_TYPE}.")
 
 
+Recorder = Annotated[Principal, Depends(Require(Scope.RECORD))]
 Predictor = Annotated[Principal, Depends(Require(Scope.PREDICT))]
 UserId = Annotated[str, Depends(_check_user)]
 PathUser = Annotated[User, Depends(_find_user)]

@@ -1,10 +1,9 @@
 """`POST /v1/users/{user}/forecast`: one forecast from one request."""
 
 import asyncio
-import json
 import time
 from dataclasses import asdict, dataclass
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -13,28 +12,34 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
-    InstanceOf,
     ValidationError,
-    WithJsonSchema,
 )
 from pydantic_core import PydanticCustomError
 
-from app.api.arrays import parse_confidence, parse_poses, parse_times, to_lists, to_wire
-from app.api.dependencies import (
+from app.api.arrays import to_lists, to_wire
+from app.api.bodies import (
+    BINARY,
     JSON_TYPE,
     MSGPACK_TYPE,
+    Confidence,
+    Poses,
+    Times,
+    check_shapes,
+    decode_body,
+    explain_body,
+    wants_msgpack,
+)
+from app.api.dependencies import (
     PathUser,
     Predictor,
     SettingsNeeded,
     get_settings,
 )
-from app.api.errors import MAX_FIELD_ERRORS, explain_validation
 from app.api.openapi import DENIED, needs, problems
 from app.api.schemas import AnswerModel, RequestModel, VersionOut
 from app.domain import errors
 from app.domain.access import Scope
 from app.domain.errors import (
-    BadFrameError,
     BadMessageError,
     FieldError,
     InternalError,
@@ -56,24 +61,6 @@ from models.skeleton import SKELETONS
 router = APIRouter(tags=["forecast"])
 
 _MAX_VERSION = 2**31 - 1
-_JOINT = {
-    "anyOf": [
-        {"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3},
-        {"type": "null"},
-    ]
-}
-_POSES = {
-    "type": "array",
-    "items": {"anyOf": [{"type": "array", "items": _JOINT}, {"type": "null"}]},
-}
-_NUMBERS = {"type": "array", "items": {"type": "number"}}
-_TABLE = {"type": "array", "items": _NUMBERS}
-_BINARY = {
-    "type": "string",
-    "format": "binary",
-    "description": 'The same fields; an array is {"shape", "dtype": "<f4" or "<f8", "data"}.',
-}
-Array = InstanceOf[np.ndarray]
 
 
 def _check_version(value: object) -> object:
@@ -100,17 +87,15 @@ class ForecastIn(RequestModel):
         },
     )
 
-    frames: Annotated[Array, BeforeValidator(parse_poses), WithJsonSchema(_POSES)] = Field(
+    frames: Poses = Field(
         description="[time][joint][xyz] in metres, in the user's skeleton; null where missing."
     )
-    t: Annotated[Array, BeforeValidator(parse_times), WithJsonSchema(_NUMBERS)] | None = Field(
+    t: Times | None = Field(
         None,
         description="Capture times in seconds, increasing; without them frames are 30 Hz and the "
         "newest is at 0.",
     )
-    confidence: (
-        Annotated[Array, BeforeValidator(parse_confidence), WithJsonSchema(_TABLE)] | None
-    ) = Field(None, description="[time][joint], from 0 to 1.")
+    confidence: Confidence | None = Field(None, description="[time][joint], from 0 to 1.")
     version: Annotated[RequestedVersion, BeforeValidator(_check_version)] = Field(
         "active", description="Which weights; a number is used as it is, or refused."
     )
@@ -168,13 +153,13 @@ async def _read_body(request: Request, caller: Predictor) -> _Body:
     if media_type not in {JSON_TYPE, MSGPACK_TYPE}:
         raise UnsupportedMediaTypeError(f"Send the body as {JSON_TYPE} or {MSGPACK_TYPE}.")
     body = await request.body()
-    content = _decode(body, as_msgpack=media_type == MSGPACK_TYPE)
+    content = decode_body(body, as_msgpack=media_type == MSGPACK_TYPE)
     _check_length(content, get_settings(request).forecast_frames)
     try:
         parsed = ForecastIn.model_validate(content)
     except ValidationError as error:
-        raise _explain(error) from None
-    return _Body(parsed, as_msgpack=_answer_as_msgpack(request, media_type))
+        raise explain_body(error) from None
+    return _Body(parsed, as_msgpack=wants_msgpack(request, media_type))
 
 
 @router.post(
@@ -187,12 +172,12 @@ async def _read_body(request: Request, caller: Predictor) -> _Body:
             "required": True,
             "content": {
                 JSON_TYPE: {"schema": ForecastIn.model_json_schema()},
-                MSGPACK_TYPE: {"schema": _BINARY},
+                MSGPACK_TYPE: {"schema": BINARY},
             },
         },
     },
     responses={
-        200: {"content": {MSGPACK_TYPE: {"schema": _BINARY}}},
+        200: {"content": {MSGPACK_TYPE: {"schema": BINARY}}},
         **problems(
             *DENIED,
             errors.UnknownUserError,
@@ -222,10 +207,11 @@ async def forecast(
     started = time.perf_counter()
     state = request.app.state
     wanted = body.request
-    state.decoders.resolve(wanted.version)
+    choice = await state.library.choose(user.uuid, wanted.version)
     ready = _assemble(wanted, user, state.window_rules)
     coverage = settings.coverage if wanted.coverage is None else wanted.coverage
-    result = await _compute(state.engine, ready, wanted.version, coverage)
+    window = EngineRequest(ready.window, wanted.version, coverage, choice)
+    result = await _compute(state.engine, window)
     answer = make_answer(ready, result, skeleton=SKELETONS[user.skeleton], up=user.up)
     if not np.isfinite(answer.frames).all():
         raise InternalError("The forecast was not finite.")
@@ -234,7 +220,7 @@ async def forecast(
 
 
 def _assemble(wanted: ForecastIn, user: User, rules: WindowRules) -> WindowReady:
-    _check_shapes(wanted)
+    check_shapes(wanted.frames, wanted.t, wanted.confidence)
     return assemble(
         wanted.frames,
         wanted.t,
@@ -246,54 +232,16 @@ def _assemble(wanted: ForecastIn, user: User, rules: WindowRules) -> WindowReady
     )
 
 
-def _check_shapes(wanted: ForecastIn) -> None:
-    """Refuse times or confidences of another length than the frames.
+async def _compute(engine: Engine, request: EngineRequest) -> EngineResult:
+    """Have a window forecast.
 
     Raises:
-        BadFrameError: naming the field.
+        VersionUnavailableError: a pinned personal version failed; nothing takes its place.
     """
-    shape = wanted.frames.shape[:2]
-    for name, array, needed in (
-        ("t", wanted.t, shape[:1]),
-        ("confidence", wanted.confidence, shape),
-    ):
-        if array is not None and array.shape != needed:
-            given = " by ".join(str(n) for n in array.shape)
-            message = f"{name} has {given} numbers, frames ask for {' by '.join(map(str, needed))}"
-            raise BadFrameError(message, errors=(FieldError(("body", name), message),))
-
-
-async def _compute(
-    engine: Engine, ready: WindowReady, version: RequestedVersion, coverage: float
-) -> EngineResult:
-    request = EngineRequest(window=ready.window, version=version, coverage=coverage)
-    return await asyncio.wrap_future(engine.submit(request))
-
-
-def _decode(body: bytes, *, as_msgpack: bool) -> object:
-    """Turn bytes into lists and numbers.
-
-    Raises:
-        NanInJsonError: NaN or Infinity in JSON.
-        BadMessageError: no JSON or msgpack.
-    """
-    try:
-        return msgspec.msgpack.decode(body) if as_msgpack else msgspec.json.decode(body)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        if not as_msgpack:
-            _look_for_nan(body)
-        name = "msgpack" if as_msgpack else "JSON"
-        raise BadMessageError(f"The body is no {name}: {error}.") from None
-
-
-def _look_for_nan(body: bytes) -> None:
-    def refuse(name: str) -> NoReturn:
-        raise NanInJsonError(f"{name} is no JSON: send null in place of a missing joint.")
-
-    try:
-        json.loads(body, parse_constant=refuse)
-    except (ValueError, RecursionError):
-        return
+    result = await asyncio.wrap_future(engine.submit(request))
+    if result.version.replaces_pinned:
+        raise errors.VersionUnavailableError(f"Version {request.version} failed.")
+    return result
 
 
 def _check_length(content: object, limit: int) -> None:
@@ -307,26 +255,6 @@ def _check_length(content: object, limit: int) -> None:
     if isinstance(length, int) and length > limit:
         wrong = FieldError(("body", "frames"), f"{length} frames, at most {limit} are allowed")
         raise LimitExceededError(wrong.msg, limit="forecast_frames", errors=(wrong,))
-
-
-def _explain(error: ValidationError) -> InvalidError:
-    """Name the wrong places, down to the index within an array."""
-    found = []
-    for item in error.errors(include_url=False, include_input=False)[:MAX_FIELD_ERRORS]:
-        context = item.get("ctx", {})
-        place = context.get("at", ())
-        # Pydantic names the branch of a union as well; clients know only fields
-        loc = ("body", *item["loc"][:1], *place)
-        found.append({"type": item["type"], "loc": loc, "msg": context.get("msg", item["msg"])})
-    return explain_validation(found)
-
-
-def _answer_as_msgpack(request: Request, media_type: str) -> bool:
-    """Answer in the format that is asked for, else in that of the request."""
-    accepted = request.headers.get("accept", "*/*").lower()
-    if MSGPACK_TYPE in accepted:
-        return True
-    return media_type == MSGPACK_TYPE and JSON_TYPE not in accepted
 
 
 def _respond(answer: Answer, *, total_ms: float, as_msgpack: bool) -> Response:

@@ -7,8 +7,11 @@ from uuid import UUID
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from app.domain.access import Scope
+from app.domain.jobs import JobReason, JobState
 from app.domain.motion import Fallback, RequestedVersion, Severity, VersionKind
+from app.domain.trials import TrialSource, TrialState
 from app.domain.users import USER_ID_PATTERN, UpAxis
+from app.domain.versions import VersionState
 from models.skeleton import SKELETONS
 
 Item = TypeVar("Item")
@@ -109,6 +112,11 @@ class UserPatch(RequestModel):
     model_config = ConfigDict(json_schema_extra=_examples({"display_name": "Ada L."}))
 
     display_name: Name | None = Field(None, description="Null takes the name away.")
+    auto_promote: bool = Field(
+        default=True,
+        strict=True,
+        description="Whether a version that wins becomes active by itself.",
+    )
 
 
 class UserOut(AnswerModel):
@@ -120,6 +128,7 @@ class UserOut(AnswerModel):
     root_relative: bool
     display_name: str | None
     created_at: datetime
+    auto_promote: bool = Field(description="A promotion or a rollback by hand turns it off.")
     version: VersionOut = Field(description="The active version.")
 
 
@@ -196,6 +205,9 @@ class LimitsOut(AnswerModel):
     streams_per_key: int
     streams_per_user: int
     forecast_frames: int
+    trial_bytes: int
+    clips: int
+    frames_per_clip: int
     features: list[str] = Field(description="What this server can do.")
 
 
@@ -217,3 +229,99 @@ class HealthOut(AnswerModel):
     """A sign of life."""
 
     status: Literal["alive", "ready"]
+
+
+class ClipOut(AnswerModel):
+    """One clip of a trial."""
+
+    ordinal: int
+    action: str | None
+    frames: int
+    seconds: float
+    used: bool = Field(description="Whether it is trained on.")
+    reason: str | None = Field(description="Why it is not; null where it is.")
+    message: str | None = Field(description="The same for people.")
+
+
+class TrialOut(AnswerModel):
+    """A recorded trial."""
+
+    id: UUID
+    user: str
+    label: str | None
+    state: TrialState
+    source: TrialSource
+    finetune: bool
+    clips: int
+    clips_unused: int = Field(description="Clips that are stored and not trained on.")
+    frames: int
+    seconds: float
+    created_at: datetime
+    stored_at: datetime | None
+    details: list[ClipOut]
+
+
+class JobOut(AnswerModel):
+    """A fine-tuning job."""
+
+    id: UUID
+    user: str
+    state: JobState
+    reason: JobReason = Field(description="Why it is in its state.")
+    message: str | None = Field(description="The end, or the last error, for people.")
+    trials: list[UUID] | None = Field(
+        description="What it trains on; null until it starts with all that is stored then."
+    )
+    requested_by: UUID | None
+    attempt: int
+    progress: dict[str, Any] | None
+    created_at: datetime
+    started_at: datetime | None
+    finished_at: datetime | None
+    version: int | None = Field(description="Number of the version that it made.")
+
+
+class RecordedOut(AnswerModel):
+    """A trial that was stored, and the job that will train on it."""
+
+    trial: TrialOut
+    job: JobOut | None
+
+
+class VersionDetailOut(AnswerModel):
+    """A version of a user's decoder."""
+
+    number: int
+    state: VersionState
+    parent: int = Field(description="The version that was active when it was trained.")
+    base_sha256: str
+    sha256: str
+    bytes: int
+    purged: bool = Field(description="Whether its weights were removed.")
+    trained_on: list[UUID]
+    metrics: dict[str, Any]
+    job: UUID | None
+    created_at: datetime
+    activated_at: datetime | None
+
+
+class FinetuneIn(RequestModel):
+    """What to train on."""
+
+    model_config = ConfigDict(json_schema_extra=_examples({"trials": None}))
+
+    trials: Annotated[list[UUID], Field(max_length=1000)] | None = Field(
+        None, description="Exactly these; null is all that is stored when the job starts."
+    )
+
+
+class ActivationIn(RequestModel):
+    """What the caller takes to be active."""
+
+    model_config = ConfigDict(json_schema_extra=_examples({"active_sha256": "9f2c…"}))
+
+    active_sha256: str | None = Field(
+        None,
+        max_length=64,
+        description="Where something else is active by now, nothing changes (409).",
+    )

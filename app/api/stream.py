@@ -6,6 +6,7 @@ The socket is accepted first and refused afterwards: browsers cannot see why a h
 import asyncio
 import time
 from contextlib import suppress
+from functools import partial
 from typing import Annotated, Literal
 from urllib.parse import parse_qsl
 from uuid import uuid4
@@ -30,6 +31,7 @@ from app.domain.errors import (
     UnsupportedSubprotocolError,
 )
 from app.domain.limits import read_limits
+from app.domain.motion import RequestedVersion
 from app.domain.streams import OpenStream
 from app.domain.users import User
 from app.live.actions import Identity
@@ -45,6 +47,7 @@ from app.live.protocol import (
     VersionNumber,
 )
 from app.live.session import Session
+from app.live.work import Choice
 from app.storage import users
 from app.storage.sessions import discard_session, open_session
 from models.skeleton import SKELETONS, Skeleton
@@ -106,13 +109,17 @@ async def _serve(websocket: WebSocket, socket: ClientSocket, user_id: str, codec
         user = await users.get(tx, user_id)
     skeleton = SKELETONS[user.skeleton]
     query = _read_query(websocket, skeleton)
-    state.decoders.resolve(query.version)
+    active, pinned = await _choose(state, user, query.version)
     codec = Codec(codec.subprotocol, joints=len(skeleton.joints))
     with state.registry.take_seat(key_id=caller.key_id, user_uuid=user.uuid):
         opened = await _open(websocket, caller, user, query.session)
         try:
-            session = _make_session(state, user, opened, query, may_record=caller.has(Scope.RECORD))
-            connection = Connection(socket, codec, session, state.engine, opened)
+            may_record = caller.has(Scope.RECORD)
+            session = _make_session(state, user, opened, query, active, may_record=may_record)
+            if pinned is not None:
+                session.pin(pinned)
+            fetch = partial(state.library.choose, user.uuid)
+            connection = Connection(socket, codec, session, state.engine, opened, fetch=fetch)
             with state.registry.keep(connection):
                 await connection.run()
         finally:
@@ -120,8 +127,28 @@ async def _serve(websocket: WebSocket, socket: ClientSocket, user_id: str, codec
                 await _forget(websocket, opened)
 
 
+async def _choose(
+    state: State, user: User, requested: RequestedVersion
+) -> tuple[Choice, Choice | None]:
+    """Load what is active, and the pinned version if there is one.
+
+    Raises:
+        VersionUnavailableError: the pinned version cannot be used.
+    """
+    active = await state.library.choose(user.uuid, "active")
+    if requested == "active":
+        return active, None
+    return active, await state.library.choose(user.uuid, requested)
+
+
 def _make_session(
-    state: State, user: User, opened: OpenStream, query: _Query, *, may_record: bool
+    state: State,
+    user: User,
+    opened: OpenStream,
+    query: _Query,
+    active: Choice,
+    *,
+    may_record: bool,
 ) -> Session:
     identity = Identity(
         user=user.id,
@@ -146,6 +173,7 @@ def _make_session(
         engine_ms=lambda: round(state.engine.latency_ms, 3),
         telemetry=state.telemetry,
         rules=state.window_rules,
+        active=active,
         now=time.monotonic(),
     )
 

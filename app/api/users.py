@@ -1,12 +1,6 @@
 """`/v1/users`: who is known."""
 
-import io
-import json
-import zipfile
-from dataclasses import asdict
-
 from fastapi import APIRouter, Request, Response
-from starlette.concurrency import run_in_threadpool
 
 from app.api.dependencies import (
     PAGE_SIZE,
@@ -15,18 +9,18 @@ from app.api.dependencies import (
     DatabaseNeeded,
     JsonBody,
     PageSize,
-    PathUser,
     UserId,
 )
+from app.api.export import show_plainly
 from app.api.openapi import DENIED, needs, problems
-from app.api.schemas import PageOut, UserIn, UserOut, UserPatch, VersionOut
+from app.api.schemas import PageOut, UserIn, UserOut, UserPatch
+from app.api.versions import show_active
 from app.domain import errors
 from app.domain.access import Scope
 from app.domain.errors import InvalidError
-from app.domain.events import Action, Event
-from app.domain.motion import VersionStamp
 from app.domain.users import User
-from app.storage import audit, users
+from app.domain.versions import ActiveVersion
+from app.storage import users, versions
 from models.skeleton import SKELETONS
 
 router = APIRouter(tags=["users"])
@@ -58,7 +52,7 @@ async def add_user(
             actor=caller.key_id,
         )
     response.headers["Location"] = f"/v1/users/{user.id}"
-    return _show(user, request)
+    return _show(user, ActiveVersion(), request)
 
 
 @router.get(
@@ -78,7 +72,9 @@ async def list_users(
     del caller
     async with database.read() as tx:
         page = await users.list_page(tx, after=after, limit=limit)
-    shown = [_show(user, request) for user in page.items]
+        active = await versions.read_active(tx, [user.uuid for user in page.items])
+    base = ActiveVersion()
+    shown = [_show(user, active.get(user.uuid, base), request) for user in page.items]
     return PageOut[UserOut](items=shown, next_cursor=page.next_cursor)
 
 
@@ -88,10 +84,15 @@ async def list_users(
     openapi_extra=ADMIN_ONLY,
     responses=problems(*DENIED, errors.UnknownUserError),
 )
-async def get_user(caller: Admin, user: PathUser, request: Request) -> UserOut:
+async def get_user(
+    caller: Admin, user: UserId, database: DatabaseNeeded, request: Request
+) -> UserOut:
     """Get one user, with the active version."""
     del caller
-    return _show(user, request)
+    async with database.read() as tx:
+        found = await users.get(tx, user)
+        active = await versions.read_active_of(tx, found.uuid)
+    return _show(found, active, request)
 
 
 @router.patch(
@@ -108,12 +109,13 @@ async def change_user(
 ) -> UserOut:
     """Change what may change of a user; fields that are left out stay as they are."""
     async with database.write() as tx:
-        if "display_name" in body.model_fields_set:
-            name = body.display_name
-            changed = await users.rename(tx, user, display_name=name, actor=caller.key_id)
+        changes = body.model_dump(exclude_unset=True)
+        if changes:
+            changed = await users.change(tx, user, changes, actor=caller.key_id)
         else:
             changed = await users.get(tx, user)
-    return _show(changed, request)
+        active = await versions.read_active_of(tx, changed.uuid)
+    return _show(changed, active, request)
 
 
 @router.delete(
@@ -133,45 +135,6 @@ async def erase_user(
     await database.forget_erased()
 
 
-@router.get(
-    "/v1/users/{user}/export",
-    summary="Export a user",
-    openapi_extra=ADMIN_ONLY,
-    response_class=Response,
-    responses={
-        200: {
-            "content": {"application/zip": {"schema": {"type": "string", "format": "binary"}}},
-            "description": "A zip archive of JSON files.",
-        },
-        **problems(*DENIED, errors.UnknownUserError),
-    },
-)
-async def export_user(caller: Admin, user: UserId, database: DatabaseNeeded) -> Response:
-    """Give everything that is stored about a user, as a zip archive of JSON files."""
-    async with database.write() as tx:
-        found = await users.get(tx, user)
-        audit.record(tx, Action.USER_EXPORTED, actor=caller.key_id, user_uuid=found.uuid)
-        await tx.flush()
-        events = await audit.list_of_user(tx, found.uuid)
-    archive = await run_in_threadpool(_pack, found, events)
-    headers = {"Content-Disposition": f'attachment; filename="{found.id}.zip"'}
-    return Response(archive, media_type="application/zip", headers=headers)
-
-
-def _show(user: User, request: Request) -> UserOut:
+def _show(user: User, active: ActiveVersion, request: Request) -> UserOut:
     """Show a user with the active version: the base, as long as there is no personal one."""
-    stamp = VersionStamp(number=0, kind="base", sha256=request.app.state.base_sha256)
-    return UserOut(**_plain(user), version=VersionOut.model_validate(stamp))
-
-
-def _plain(user: User) -> dict[str, object]:
-    return {name: value for name, value in asdict(user).items() if name != "uuid"}
-
-
-def _pack(user: User, events: list[Event]) -> bytes:
-    files = {"user.json": _plain(user), "events.json": [asdict(event) for event in events]}
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, content in files.items():
-            archive.writestr(name, json.dumps(content, default=str, indent=2))
-    return buffer.getvalue()
+    return UserOut(**show_plainly(user), version=show_active(active, request.app.state.base_sha256))

@@ -30,21 +30,24 @@ def serve(
     ] = False,
 ) -> None:
     """Serve forecasts over HTTP and WebSocket; migrates the database first."""
-    del no_worker  # accepted for scripts; there is nothing to leave out yet
     settings = load_settings(host=host, port=port, data_dir=data_dir)
     with _listen(settings) as listener:  # before anything slow happens
-        _run(settings, listener)
+        _run(settings, listener, with_worker=not no_worker)
 
 
-def _run(settings: Settings, listener: socket.socket) -> None:
+def _run(settings: Settings, listener: socket.socket, *, with_worker: bool) -> None:
     from app.logs import configure_logs  # noqa: PLC0415 - slow to import
     from app.main import create_app  # noqa: PLC0415
     from app.server import make_server  # noqa: PLC0415
+    from app.worker.embedded import EmbeddedWorker  # noqa: PLC0415
 
     configure_logs(settings)
     key = asyncio.run(_prepare(settings))
     address = _name_address(listener)
-    server = make_server(create_app(settings), settings, on_ready=lambda: _greet(address, key))
+    worker = EmbeddedWorker(settings.data_dir) if with_worker else None
+    server = make_server(
+        create_app(settings, worker=worker), settings, on_ready=lambda: _greet(address, key)
+    )
     server.run(sockets=[listener])
     if not server.started:
         fail("The service did not start; the log above says why.", status=1)

@@ -10,16 +10,24 @@ code an error gets is decided in one table, ``app.api.errors``.
     ├── MissingError                  not_found            no such page or row
     │   ├── UnknownUserError          unknown_user
     │   ├── UnknownKeyError           unknown_key
-    │   └── UnknownVersionError       unknown_version
+    │   ├── UnknownVersionError       unknown_version
+    │   ├── UnknownTrialError         unknown_trial
+    │   └── UnknownJobError           unknown_job
     ├── ConflictError                 conflict
     │   ├── UserExistsError           user_exists
     │   ├── VersionUnavailableError   version_unavailable  a pinned version that cannot be used now
     │   ├── TrialUnavailableError     trial_unavailable    this server records nothing
+    │   ├── TrialConflictError        trial_conflict       the trial is not in a state for that
+    │   ├── JobQueuedError            job_queued           a job with other trials waits already
+    │   ├── ActiveChangedError        active_changed       another version is active than expected
     │   └── FencedError               fenced               a newer stream took its session over
     ├── InvalidError                  invalid_request      with the list of what is wrong where
     │   ├── LimitExceededError        limit_exceeded       with the name of the limit
     │   ├── UnknownFieldError         unknown_field
     │   ├── BadConfigureError         bad_configure
+    │   ├── KeyReusedError            idempotency_key_reused
+    │   ├── BadRecordingError         bad_recording        a file that cannot be read
+    │   ├── NothingToTrainOnError     nothing_to_train_on
     │   ├── LayoutMismatchError       layout_mismatch      the client means other joints
     │   ├── BadFrameError             bad_frame            what a person's pose can never be
     │   │   ├── NanInJsonError        nan_in_json
@@ -42,7 +50,8 @@ code an error gets is decided in one table, ``app.api.errors``.
     │   ├── TooFastError              too_fast
     │   └── IdleError                 idle
     ├── GoneError                     gone
-    │   └── UserDeletedError          user_deleted
+    │   ├── UserDeletedError          user_deleted
+    │   └── WeightsPurgedError        weights_purged       the figures are kept, the weights not
     ├── UnavailableError              unavailable          try again, here or at another replica
     │   ├── NotReadyError             not_ready
     │   ├── OverloadedError           overloaded
@@ -116,6 +125,14 @@ class UnknownVersionError(MissingError, code="unknown_version", title="No such v
     """This user never had a version of that number."""
 
 
+class UnknownTrialError(MissingError, code="unknown_trial", title="No such trial"):
+    """This user has no trial of that id."""
+
+
+class UnknownJobError(MissingError, code="unknown_job", title="No such job"):
+    """No job of that id."""
+
+
 class ConflictError(KinecastError, code="conflict", title="In conflict with what is stored"):
     """What is stored does not allow this now."""
 
@@ -134,6 +151,22 @@ class TrialUnavailableError(
     ConflictError, code="trial_unavailable", title="Recording is not enabled on this server"
 ):
     """A recording was asked for where none can be made."""
+
+
+class TrialConflictError(
+    ConflictError, code="trial_conflict", title="The trial is not in a state for that"
+):
+    """The trial is not in a state for that, or its id belongs to another."""
+
+
+class JobQueuedError(ConflictError, code="job_queued", title="A job waits already"):
+    """An explicit list of trials is never merged with a job that waits already."""
+
+
+class ActiveChangedError(
+    ConflictError, code="active_changed", title="Another version is active than expected"
+):
+    """Somebody else changed the active version in between; look again before deciding."""
 
 
 class FencedError(ConflictError, code="fenced", title="A newer stream took this session over"):
@@ -174,6 +207,22 @@ class BadConfigureError(
     InvalidError, code="bad_configure", title="These stream settings are not valid"
 ):
     """Settings of a stream that make no sense."""
+
+
+class KeyReusedError(
+    InvalidError, code="idempotency_key_reused", title="This Idempotency-Key had another body"
+):
+    """The same `Idempotency-Key` came with another body within a day."""
+
+
+class BadRecordingError(InvalidError, code="bad_recording", title="The recording cannot be read"):
+    """An uploaded file that is not what it should be; the message names it."""
+
+
+class NothingToTrainOnError(
+    InvalidError, code="nothing_to_train_on", title="There is no stored trial to train on"
+):
+    """Fine-tuning was asked for, and there is nothing that it could use."""
 
 
 class LayoutMismatchError(
@@ -298,6 +347,10 @@ class GoneError(KinecastError, code="gone", title="Gone"):
 
 class UserDeletedError(GoneError, code="user_deleted", title="The user was deleted"):
     """The user was erased while a stream of theirs was open."""
+
+
+class WeightsPurgedError(GoneError, code="weights_purged", title="The weights were removed"):
+    """Old weights are removed after a while; the figures of the version are kept."""
 
 
 class UnavailableError(

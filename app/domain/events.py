@@ -15,6 +15,11 @@ class Action(StrEnum):
     USER_DELETED = "user.deleted"
     KEY_CREATED = "key.created"
     KEY_REVOKED = "key.revoked"
+    TRIAL_ERASED = "trial.erased"
+    JOB_REQUESTED = "job.requested"
+    JOB_CANCELLED = "job.cancelled"
+    VERSION_PROMOTED = "version.promoted"
+    VERSION_ROLLED_BACK = "version.rolled_back"
 
 
 @dataclass(frozen=True, slots=True)

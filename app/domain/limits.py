@@ -16,6 +16,9 @@ class Limits:
         streams_per_key: open streams per key and replica.
         streams_per_user: open streams per user and replica.
         forecast_frames: most frames in one forecast request.
+        trial_bytes: largest body of an uploaded trial.
+        clips: most clips of a trial.
+        frames_per_clip: most frames of a clip.
     """
 
     max_message_bytes: int
@@ -24,6 +27,9 @@ class Limits:
     streams_per_key: int
     streams_per_user: int
     forecast_frames: int
+    trial_bytes: int
+    clips: int
+    frames_per_clip: int
 
 
 def read_limits(settings: Settings) -> Limits:
@@ -35,8 +41,11 @@ def read_limits(settings: Settings) -> Limits:
         streams_per_key=settings.streams_per_key,
         streams_per_user=settings.streams_per_user,
         forecast_frames=settings.forecast_frames,
+        trial_bytes=settings.trial_bytes,
+        clips=settings.clips,
+        frames_per_clip=settings.frames_per_clip,
     )
 
 
-FEATURES: tuple[str, ...] = ("forecast", "stream", "msgpack")
+FEATURES: tuple[str, ...] = ("forecast", "stream", "msgpack", "trials", "finetune")
 """What this server can do; the list grows, and clients ignore what they do not know."""

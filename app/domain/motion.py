@@ -82,6 +82,11 @@ class VersionStamp:
     share: float = 0.0
     fallback: Fallback | None = None
 
+    @property
+    def replaces_pinned(self) -> bool:
+        """Whether something else answered in the place of a pinned personal version."""
+        return self.requested not in {"active", "base", 0} and self.fallback is not None
+
 
 @dataclass(frozen=True, slots=True)
 class Timing:

@@ -26,6 +26,7 @@ class User:
         root_relative: whether the sensor gives positions relative to the hips only.
         display_name: free text for people, None if not given.
         created_at: when the row was made.
+        auto_promote: whether a version that wins becomes active by itself.
     """
 
     uuid: UUID
@@ -35,6 +36,7 @@ class User:
     root_relative: bool
     display_name: str | None
     created_at: datetime
+    auto_promote: bool = True
 
 
 def pseudonym(user_id: str, *, key: bytes) -> str:

@@ -53,6 +53,10 @@ class Ledger:
         self._not_due = 0
         return counts
 
+    def is_newest(self, seq: int) -> bool:
+        """Tell whether `seq` still waits, and nothing newer does."""
+        return bool(self._pending) and self._pending[-1].seq == seq
+
     def drop(self, seq: int) -> bool:
         """Note that `seq` was answered by an error; tells whether it was still open."""
         return self._discard_from(seq)

@@ -46,12 +46,14 @@ class Ticket:
         ready: the window.
         flags: quality flags of how the frame came.
         born: when it was captured, as far as was known on its arrival; server's clock, seconds.
+        turn: how often the weights had changed when it was asked for.
     """
 
     seq: int
     ready: WindowReady
     flags: tuple[str, ...]
     born: float
+    turn: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,25 +2,28 @@
 
 import asyncio
 import time
-from collections.abc import Iterable
+from collections.abc import Awaitable, Callable, Iterable
 from typing import Protocol, runtime_checkable
 
 import structlog
 
-from app.domain.errors import DrainingError, KinecastError
+from app.domain.errors import DrainingError, KinecastError, NotReadyError, VersionUnavailableError
 from app.domain.streams import OpenStream
-from app.live.actions import Action, Send, Submit, Ticket
+from app.live.actions import Action, Send, Submit, Ticket, describe
 from app.live.codec import Codec
 from app.live.engine import Engine
 from app.live.outbox import Outbox
-from app.live.protocol import ServerMessage
+from app.live.protocol import Configure, ServerMessage
 from app.live.session import Session
-from app.live.work import EngineResult
+from app.live.work import Choice, EngineResult
 
 STALL_S = 5.0
 """A client that takes nothing for this long is given up."""
 LEAVE_S = 2.0
 """Longest wait for the last messages to leave."""
+
+Fetch = Callable[[int], Awaitable[Choice]]
+"""Loads a pinned version of the user; raises VersionUnavailableError where it cannot be used."""
 
 log = structlog.get_logger(__name__)
 
@@ -63,11 +66,20 @@ class Connection:
         session: what it does with messages.
         engine: where forecasts are made.
         stream: what the database knows it by.
+        fetch: loads pinned versions, None where there are none.
     """
 
     def __init__(
-        self, socket: Socket, codec: Codec, session: Session, engine: Engine, stream: OpenStream
+        self,
+        socket: Socket,
+        codec: Codec,
+        session: Session,
+        engine: Engine,
+        stream: OpenStream,
+        *,
+        fetch: Fetch | None = None,
     ) -> None:
+        self._fetch = fetch
         self.stream = stream
         self.closed = asyncio.Event()
         self._socket, self._codec, self._session = socket, codec, session
@@ -104,6 +116,10 @@ class Connection:
         """Flag forecasts while nobody can tell whether their weights are still the right ones."""
         self._session.unconfirmed = unconfirmed
 
+    def switch(self, choice: Choice) -> None:
+        """Let other weights answer from the next forecast on."""
+        self._perform(self._session.switch(choice))
+
     def tick(self, now: float) -> None:
         """Do what is due with the time: about once a second."""
         if self._sending_since is not None and now - self._sending_since > STALL_S:
@@ -117,9 +133,28 @@ class Connection:
         """Drain the socket into the session; the newest window waits in the engine's slot."""
         while self._outbox.ending is None:
             data = await self._socket.receive()
-            self._perform(self._session.receive(self._codec.decode(data), time.monotonic()))
+            message = self._codec.decode(data)
+            if isinstance(message, Configure) and not await self._prepare(message):
+                continue
+            self._perform(self._session.receive(message, time.monotonic()))
             await self._outbox.wait_for_room()
             await asyncio.sleep(0)  # a burst is read without waiting: let the others have a turn
+
+    async def _prepare(self, message: Configure) -> bool:
+        """Load a version that is about to be pinned; the session refuses what was not loaded.
+
+        Tells whether to go on; without the database the client is told to try again.
+        """
+        number = message.version
+        if self._fetch is not None and isinstance(number, int) and number:
+            try:
+                self._session.pin(await self._fetch(number))
+            except VersionUnavailableError:
+                return True
+            except NotReadyError as error:
+                self._outbox.put(describe(error))
+                return False
+        return True
 
     async def _write(self) -> None:
         while True:
@@ -138,6 +173,8 @@ class Connection:
         for action in self._session.answer(ticket, result, time.monotonic()):
             if isinstance(action, Send):
                 await self._send(action.message)
+            else:
+                self._perform([action])
 
     async def _send(self, message: ServerMessage) -> None:
         self._sending_since = time.monotonic()

@@ -23,8 +23,8 @@ from app.domain.motion import Fallback, Timing, VersionKind, VersionStamp
 from app.live.decoders import Decoders
 from app.live.guard import GuardRules, is_possible
 from app.live.telemetry import Telemetry
-from app.live.work import EngineRequest, EngineResult
-from models.baselines import DampedVelocity
+from app.live.work import Choice, EngineRequest, EngineResult
+from models.baselines import DampedVelocity, Forecaster
 from models.spec import MotionSpec
 
 DEADLINE_MS = 33.0
@@ -52,6 +52,11 @@ class _Job:
     request: EngineRequest
     on_done: Done
     since: float
+
+    @property
+    def forecaster(self) -> Forecaster | None:
+        """The personal decoder that shall answer, None for the base."""
+        return None if self.request.choice is None else self.request.choice.forecaster
 
 
 class Slot:
@@ -218,7 +223,8 @@ class Engine:
             self._healthy = self._warm_up()
             self._warm.set()
             while jobs := self._take():
-                self._serve(jobs)
+                for group in _group_by_weights(jobs):
+                    self._serve(group)
         finally:
             self._warm.set()
             self._give_up()
@@ -255,7 +261,8 @@ class Engine:
 
     def _serve(self, jobs: Sequence[_Job]) -> None:
         started = time.perf_counter()
-        forecasts = self._forecast(np.stack([job.request.window for job in jobs]))
+        windows = np.stack([job.request.window for job in jobs])
+        forecasts = self._forecast(windows, jobs[0].forecaster)
         ended = time.perf_counter()
         self.telemetry.count_batch(len(jobs))
         for job, forecast in zip(jobs, forecasts, strict=True):
@@ -276,16 +283,16 @@ class Engine:
             log.warning("nobody waits for a forecast any more")
 
     def _forecast(
-        self, windows: Float[np.ndarray, "batch 15 20 3"]
+        self, windows: Float[np.ndarray, "batch 15 20 3"], forecaster: Forecaster | None
     ) -> Sequence[Float32[np.ndarray, "15 20 3"] | None]:
         """Forecast a batch; None for each window that the net fails on."""
         try:
-            return list(self.decoders.forecast(windows))
+            return list(self.decoders.forecast(windows, forecaster))
         except NET_FAILURES as error:
             if len(windows) == 1:
                 self._report(error)
                 return [None]
-        return [self._forecast(windows[i : i + 1])[0] for i in range(len(windows))]
+        return [self._forecast(windows[i : i + 1], forecaster)[0] for i in range(len(windows))]
 
     def _report(self, error: BaseException) -> None:
         now = time.perf_counter()
@@ -303,16 +310,38 @@ class Engine:
     ) -> EngineResult:
         """Pass a forecast on, or put a fallback in its place."""
         if forecast is None or not self._is_possible(forecast):
-            return self._fall_back(request, "engine_error" if forecast is None else "guard", timing)
-        radius = self.decoders.radius(request.coverage)
+            reason: Fallback = "engine_error" if forecast is None else "guard"
+            return self._step_down(request, reason, timing)
+        choice = request.choice or Choice(self.decoders.resolve(request.version))
+        return self._pass_on(request, forecast, choice.stamp, timing)
+
+    def _pass_on(
+        self,
+        request: EngineRequest,
+        forecast: Float32[np.ndarray, "15 20 3"],
+        stamp: VersionStamp,
+        timing: Timing,
+    ) -> EngineResult:
+        """Wrap a forecast of a net; only the base's radius is calibrated."""
+        radius = self.decoders.radius(request.coverage) if stamp.kind == "base" else None
+        flags = () if stamp.fallback is None else ("fallback",)
         return EngineResult(
             displacement=forecast,
             radius=radius,
             coverage=request.coverage,
-            version=self.decoders.resolve(request.version),
+            version=stamp,
             timing=timing,
-            flags=() if radius is not None else ("uncalibrated",),
+            flags=flags if radius is not None else (*flags, "uncalibrated"),
         )
+
+    def _step_down(self, request: EngineRequest, reason: Fallback, timing: Timing) -> EngineResult:
+        """Try the base where a personal decoder failed, then what needs no weights."""
+        if request.choice is not None and request.choice.forecaster is not None:
+            forecast = self._forecast(request.window[None], None)[0]
+            if forecast is not None and self._is_possible(forecast):
+                stamp = self.decoders.stamp_base(request.version, fallback=reason)
+                return self._pass_on(request, forecast, stamp, timing)
+        return self._fall_back(request, reason, timing)
 
     def _fall_back(self, request: EngineRequest, reason: Fallback, timing: Timing) -> EngineResult:
         """Let the person slow down; where even that is impossible, let them stand still."""
@@ -332,3 +361,11 @@ class Engine:
 
     def _is_possible(self, displacement: Float32[np.ndarray, "15 20 3"]) -> bool:
         return is_possible(displacement, rate_hz=self.spec.rate_hz, rules=self._rules)
+
+
+def _group_by_weights(jobs: Sequence[_Job]) -> list[list[_Job]]:
+    """Sort a batch by what shall answer; each group is computed by exactly one version."""
+    groups: dict[int, list[_Job]] = {}
+    for job in jobs:
+        groups.setdefault(id(job.forecaster), []).append(job)
+    return list(groups.values())

@@ -196,6 +196,13 @@ class Forecast(_Server, tag="forecast"):
     timing: Timing
 
 
+class VersionMessage(_Server, tag="version"):
+    """Other weights are active: no forecast before it is theirs, every one after it is."""
+
+    version: VersionStamp
+    reason: str
+
+
 class WaitingMessage(_Server, tag="waiting"):
     """Why frames get no forecast: at the first of them, then once a second."""
 
@@ -246,7 +253,15 @@ class Bye(_Server, tag="bye"):
 
 
 ServerMessage = (
-    Hello | Forecast | WaitingMessage | Configured | Pong | ServerPing | ErrorMessage | Bye
+    Hello
+    | Forecast
+    | VersionMessage
+    | WaitingMessage
+    | Configured
+    | Pong
+    | ServerPing
+    | ErrorMessage
+    | Bye
 )
 
 INCOMING: tuple[type[Struct], ...] = get_args(Incoming)

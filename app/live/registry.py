@@ -3,7 +3,7 @@
 import asyncio
 import time
 from collections import Counter
-from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from typing import Protocol, runtime_checkable
 from uuid import UUID
@@ -22,9 +22,12 @@ from app.domain.errors import (
 from app.domain.limits import Limits
 from app.domain.streams import OpenStream, Verdict
 from app.live.telemetry import Telemetry
+from app.live.work import Choice
 
 Watch = Callable[[Sequence[OpenStream]], Awaitable[Mapping[OpenStream, Verdict]]]
 """Asks the database which streams must close; raises NotReadyError where it cannot tell."""
+Follow = Callable[[Collection[UUID]], Awaitable[Mapping[UUID, Choice]]]
+"""Gives what is active for users, loaded; raises NotReadyError where it cannot tell."""
 
 TICK_S = 1.0
 _REASONS: dict[Verdict, type[KinecastError]] = {
@@ -51,6 +54,10 @@ class LiveStream(Protocol):
         """Do what is due with the time."""
         ...
 
+    def switch(self, choice: Choice) -> None:
+        """Let other weights answer from the next forecast on, if they are others."""
+        ...
+
     def set_unconfirmed(self, *, unconfirmed: bool) -> None:
         """Flag forecasts while the database cannot be asked."""
         ...
@@ -63,6 +70,7 @@ class Registry:
         watch: asks the database.
         limits: how many streams a key and a user may have.
         telemetry: where to count.
+        follow: tells what is active; None where everybody has the base.
         watch_s: how often to ask.
         unconfirmed_s: without an answer for this long, forecasts are flagged.
         close_s: without an answer for this long, streams are closed: what they serve may have
@@ -75,10 +83,12 @@ class Registry:
         *,
         limits: Limits,
         telemetry: Telemetry,
+        follow: Follow | None = None,
         watch_s: float = 1.0,
         unconfirmed_s: float = 10.0,
         close_s: float = 60.0,
     ) -> None:
+        self._follow = follow
         self._watch, self._limits, self._telemetry = watch, limits, telemetry
         self._watch_s, self._unconfirmed_s, self._close_s = watch_s, unconfirmed_s, close_s
         self._streams: dict[OpenStream, LiveStream] = {}
@@ -97,6 +107,7 @@ class Registry:
         self._tasks = [
             asyncio.create_task(self._tick_for_ever()),
             asyncio.create_task(self._watch_for_ever()),
+            asyncio.create_task(self._follow_for_ever()),
         ]
 
     async def stop(self) -> None:
@@ -190,6 +201,23 @@ class Registry:
             if verdict is not None:
                 stream.end(_REASONS[verdict]())
 
+    async def follow(self) -> None:
+        """Ask once what is active, and have the streams go over to it.
+
+        Apart from `check`, so that loading weights does not hold up what must close.
+        """
+        if self._follow is None:
+            return
+        try:
+            streams = dict(self._streams)  # one that opens meanwhile may know better
+            choices = await self._follow({stream.user_uuid for stream in streams})
+        except NotReadyError:  # `check` deals with that
+            return
+        for stream in streams.values():
+            choice = choices.get(stream.stream.user_uuid)
+            if choice is not None:
+                stream.switch(choice)
+
     def _doubt(self, now: float) -> None:
         age_s = now - self._confirmed_at
         for stream in list(self._streams.values()):
@@ -208,3 +236,8 @@ class Registry:
         while True:
             await asyncio.sleep(self._watch_s)
             await self.check(time.monotonic())
+
+    async def _follow_for_ever(self) -> None:
+        while True:
+            await asyncio.sleep(self._watch_s)
+            await self.follow()

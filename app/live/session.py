@@ -4,6 +4,7 @@ Messages and `now` go in, actions come out; the route carries them out. Every fr
 a forecast, counted in `skipped` or `not_due`, or covered by a `waiting` or an `error`.
 """
 
+import dataclasses
 import math
 from collections.abc import Callable
 
@@ -49,11 +50,12 @@ from app.live.protocol import (
     Reset,
     ServerPing,
     StreamSettings,
+    VersionMessage,
     WaitingMessage,
 )
 from app.live.telemetry import Telemetry
 from app.live.window import FrameBuffer, Waiting, WindowReady
-from app.live.work import EngineRequest, EngineResult
+from app.live.work import Choice, EngineRequest, EngineResult
 from models.spec import MotionSpec
 
 REPEAT_S = 1.0
@@ -74,7 +76,8 @@ class Session:
         identity: whose stream it is.
         settings: how forecasts are made until the client says otherwise.
         limits: what the client may send.
-        resolve: tells which weights answer a request for a version; see `Decoders.resolve`.
+        resolve: tells what the base says to a request for a version; see `Decoders.resolve`.
+        active: what is active for the user, None for the base.
         engine_ms: tells how long forecasts take at the moment.
         telemetry: where to count.
         rules: what counts as a window.
@@ -92,6 +95,7 @@ class Session:
         engine_ms: Callable[[], float],
         telemetry: Telemetry,
         now: float,
+        active: Choice | None = None,
         rules: WindowRules | None = None,
         spec: MotionSpec | None = None,
     ) -> None:
@@ -99,6 +103,8 @@ class Session:
         self.unconfirmed = False
         self._who, self._limits, self._spec = identity, limits, spec or MotionSpec()
         self._resolve, self._engine_ms, self._telemetry = resolve, engine_ms, telemetry
+        self._active, self._turn = active or Choice(resolve("active")), 0
+        self._pinned: Choice | None = None
         self._buffer = FrameBuffer(
             identity.skeleton,
             up=identity.up,
@@ -135,7 +141,7 @@ class Session:
             rate_hz=self._spec.rate_hz,
             observe=self._spec.observe,
             horizon=self._spec.horizon,
-            version=self._resolve(self.settings.version),
+            version=self._choose(self.settings.version).stamp,
             settings=self.settings,
             limits=self._limits,
         )
@@ -160,9 +166,14 @@ class Session:
         Gives an error in its place if it became too old, and nothing if the frame is accounted for
         already or the client's frame of reference or clock has changed since.
         """
+        if ticket.turn != self._turn:
+            return self._ask_again(ticket)
         age_ms = (now - ticket.born) * 1e3
         if age_ms > self.settings.max_age_ms:
             return self._tell_stale(ticket.seq, age_ms) if self._ledger.drop(ticket.seq) else []
+        if result.version.replaces_pinned:
+            failed = VersionUnavailableError(f"Version {result.version.requested} failed.")
+            return [self._tell(failed, ticket.seq)] if self._ledger.drop(ticket.seq) else []
         counts = self._ledger.settle(ticket.seq)
         if counts is None:
             return []
@@ -196,6 +207,19 @@ class Session:
                 )
             )
         ]
+
+    def pin(self, choice: Choice) -> None:
+        """Take a pinned version that was loaded, before it is asked for."""
+        self._pinned = choice
+
+    def switch(self, choice: Choice) -> list[Action]:
+        """Go over to other active weights; forecasts of the old ones are made anew."""
+        changed = choice.stamp != self._active.stamp
+        self._active = choice
+        if not changed or self.settings.version != "active":
+            return []
+        self._turn += 1
+        return [Send(VersionMessage(choice.stamp, choice.reason))]
 
     def tick(self, now: float) -> list[Action]:
         """Do what is due with the time: about once a second."""
@@ -276,9 +300,36 @@ class Session:
         self._until_due = self.settings.forecast_every - 1
         self._ledger.ask(frame.seq, frame.t, now)
         is_late = age_ms > LATE_SHARE * self.settings.max_age_ms
-        request = EngineRequest(ready.window, self.settings.version, self.settings.coverage)
         flags = ("late_input",) if is_late else ()
-        return [Submit(request, Ticket(frame.seq, ready, flags, born=now - age_ms / 1e3))]
+        born = now - age_ms / 1e3
+        return [self._submit(Ticket(frame.seq, ready, flags, born=born, turn=self._turn))]
+
+    def _ask_again(self, ticket: Ticket) -> list[Action]:
+        """Have a frame forecast by the new weights; where a newer one waits, it counts as skipped.
+
+        A forecast of the old weights may not leave after the message that announced the new ones.
+        """
+        if not self._ledger.is_newest(ticket.seq):
+            return []
+        return [self._submit(dataclasses.replace(ticket, turn=self._turn))]
+
+    def _submit(self, ticket: Ticket) -> Submit:
+        wanted = self.settings
+        choice = self._choose(wanted.version)
+        request = EngineRequest(ticket.ready.window, wanted.version, wanted.coverage, choice)
+        return Submit(request, ticket)
+
+    def _choose(self, requested: RequestedVersion) -> Choice:
+        """Tell what a request means.
+
+        Raises:
+            VersionUnavailableError: a version that was not loaded.
+        """
+        if requested == "active":
+            return self._active
+        if self._pinned is not None and self._pinned.stamp.requested == requested:
+            return self._pinned
+        return Choice(self._resolve(requested))
 
     def _wait(self, frame: Observation, waiting: Waiting, now: float) -> list[Action]:
         self._telemetry.count_frames("waiting")
@@ -296,7 +347,7 @@ class Session:
             if getattr(message, name) is not UNSET
         }
         try:
-            self._resolve(given.get("version", self.settings.version))
+            self._choose(given.get("version", self.settings.version))
         except VersionUnavailableError as error:
             return self._refuse(UnknownVersionError(error.message), None, now)
         self.settings = replace(self.settings, **given)

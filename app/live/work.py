@@ -6,6 +6,22 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from app.domain.motion import RequestedVersion, Timing, VersionStamp
+from models.baselines import Forecaster
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """What shall answer.
+
+    Attributes:
+        stamp: what its answers say of it.
+        forecaster: a personal decoder, None for the base.
+        reason: why it is in use since lately.
+    """
+
+    stamp: VersionStamp
+    forecaster: Forecaster | None = None
+    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,13 +30,15 @@ class EngineRequest:
 
     Attributes:
         window: metres, net skeleton, y up.
-        version: the weights asked for; must have been resolved before (`Decoders.resolve`).
+        version: the weights asked for.
         coverage: probability that the radius is to have.
+        choice: what that means for this user; None for the base.
     """
 
     window: Float[np.ndarray, "15 20 3"]
     version: RequestedVersion
     coverage: float
+    choice: Choice | None = None
 
 
 @dataclass(frozen=True, slots=True)

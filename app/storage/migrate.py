@@ -152,11 +152,19 @@ def _describe(connection: Connection) -> Description:
             "foreign": _by_name(inspector.get_foreign_keys(table)),
             "unique": _by_name(inspector.get_unique_constraints(table)),
             "checks": _by_name(inspector.get_check_constraints(table)),
-            "indexes": _by_name(inspector.get_indexes(table)),
+            "indexes": _by_name(_write_conditions(inspector.get_indexes(table))),
         }
         for table in inspector.get_table_names()
         if table != "alembic_version"
     }
+
+
+def _write_conditions(indexes: Any) -> list[Any]:  # noqa: ANN401 - as below
+    """Write the condition of a partial index as text: as an object it equals only itself."""
+    return [
+        {**index, "dialect_options": {k: str(v) for k, v in index["dialect_options"].items()}}
+        for index in indexes
+    ]
 
 
 def _by_name(constraints: Any) -> list[Any]:  # noqa: ANN401 - SQLAlchemy's many kinds of dict

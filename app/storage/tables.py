@@ -5,17 +5,22 @@ from typing import Any, ClassVar
 from uuid import UUID, uuid4
 
 from sqlalchemy import (
+    JSON,
     BigInteger,
     CheckConstraint,
     DateTime,
     Dialect,
     ForeignKey,
+    ForeignKeyConstraint,
     Index,
     Integer,
     LargeBinary,
     MetaData,
     String,
+    Text,
     TypeDecorator,
+    text,
+    true,
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
@@ -81,6 +86,8 @@ class Base(DeclarativeBase):
     type_annotation_map: ClassVar[dict[Any, Any]] = {
         datetime: Instant,
         frozenset[Scope]: Scopes,
+        dict[str, Any]: JSON(none_as_null=True),
+        list[str]: JSON(none_as_null=True),
     }
 
 
@@ -100,6 +107,9 @@ class UserRow(Base):
     root_relative: Mapped[bool]
     display_name: Mapped[str | None] = mapped_column(String(200))
     created_at: Mapped[datetime] = mapped_column(default=utc_now)
+    auto_promote: Mapped[bool] = mapped_column(default=True, server_default=true())
+    last_version: Mapped[int] = mapped_column(default=0, server_default=text("0"))
+    served_at: Mapped[datetime | None]
 
 
 class KeyRow(Base):
@@ -151,3 +161,184 @@ class AuditRow(Base):
         ForeignKey("users.uuid", ondelete="CASCADE"), index=True
     )
     subject: Mapped[str | None] = mapped_column(String(64))
+
+
+def _owner(*, index: bool = False) -> Any:  # noqa: ANN401 - as Mapped wants it
+    """Hang a row on its user, with whom it goes."""
+    return mapped_column(ForeignKey("users.uuid", ondelete="CASCADE"), index=index)
+
+
+class TrialRow(Base):
+    """What a person was recorded doing. A recording belongs to the newest epoch of its session."""
+
+    __tablename__ = "trials"
+    __table_args__ = (Index(None, "user_uuid", "created_at", "id"),)
+
+    id: Mapped[UUID] = mapped_column(primary_key=True, default=uuid4)
+    user_uuid: Mapped[UUID] = _owner()
+    label: Mapped[str | None] = mapped_column(String(200))
+    state: Mapped[str] = mapped_column(String(16))
+    source: Mapped[str] = mapped_column(String(16))
+    finetune: Mapped[bool]
+    session: Mapped[str | None] = mapped_column(String(64))
+    epoch: Mapped[int | None] = mapped_column(BigInteger)
+    stored_seq: Mapped[int | None] = mapped_column(BigInteger)
+    created_at: Mapped[datetime] = mapped_column(default=utc_now)
+    touched_at: Mapped[datetime] = mapped_column(default=utc_now)
+    stored_at: Mapped[datetime | None]
+
+
+class ClipRow(Base):
+    """One clip of a trial: what is known of it without its frames."""
+
+    __tablename__ = "clips"
+
+    trial_id: Mapped[UUID] = mapped_column(
+        ForeignKey("trials.id", ondelete="CASCADE"), primary_key=True
+    )
+    ordinal: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    action: Mapped[str | None] = mapped_column(String(200))
+    frames: Mapped[int]
+    seconds: Mapped[float]
+    flaw: Mapped[str | None] = mapped_column(String(32))
+
+
+class ChunkRow(Base):
+    """Some frames of a clip, packed; kept apart, so that listing clips reads no frames."""
+
+    __tablename__ = "chunks"
+    __table_args__ = (
+        ForeignKeyConstraint(
+            ["trial_id", "clip"], ["clips.trial_id", "clips.ordinal"], ondelete="CASCADE"
+        ),
+    )
+
+    trial_id: Mapped[UUID] = mapped_column(primary_key=True)
+    clip: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    ordinal: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    frames: Mapped[int]
+    payload: Mapped[bytes] = mapped_column(LargeBinary)
+
+
+class JobRow(Base):
+    """A fine-tuning job. Per user one runs, and one of each kind waits."""
+
+    __tablename__ = "jobs"
+    __table_args__ = (
+        Index(
+            "uq_jobs_queued",
+            "user_uuid",
+            "explicit",
+            unique=True,
+            sqlite_where=text("state = 'queued'"),
+            postgresql_where=text("state = 'queued'"),
+        ),
+        Index(
+            "uq_jobs_running",
+            "user_uuid",
+            unique=True,
+            sqlite_where=text("state = 'running'"),
+            postgresql_where=text("state = 'running'"),
+        ),
+        Index(None, "created_at", "id"),
+        Index(None, "user_uuid", "created_at", "id"),
+        Index(None, "state", "lease_until"),
+    )
+
+    id: Mapped[UUID] = mapped_column(primary_key=True, default=uuid4)
+    user_uuid: Mapped[UUID] = _owner()
+    state: Mapped[str] = mapped_column(String(16))
+    reason: Mapped[str] = mapped_column(String(32))
+    explicit: Mapped[bool]
+    trials: Mapped[list[str] | None]
+    requested_by: Mapped[UUID | None]
+    attempt: Mapped[int] = mapped_column(default=0)
+    fence: Mapped[int] = mapped_column(BigInteger, default=0)
+    lease_owner: Mapped[str | None] = mapped_column(String(128))
+    lease_until: Mapped[datetime | None]
+    cancelling: Mapped[bool] = mapped_column(default=False)
+    progress: Mapped[dict[str, Any] | None]
+    message: Mapped[str | None] = mapped_column(Text)
+    created_at: Mapped[datetime] = mapped_column(default=utc_now)
+    started_at: Mapped[datetime | None]
+    finished_at: Mapped[datetime | None]
+    version: Mapped[int | None]
+
+
+class WeightsRow(Base):
+    """Weights, named by their digest; never changed. Bases are rows too."""
+
+    __tablename__ = "weights"
+
+    sha256: Mapped[str] = mapped_column(String(64), primary_key=True)
+    kind: Mapped[str] = mapped_column(String(16))
+    size: Mapped[int]
+    blob: Mapped[bytes] = mapped_column(LargeBinary)
+    created_at: Mapped[datetime] = mapped_column(default=utc_now)
+
+
+class VersionRow(Base):
+    """A version of a user's decoder. Its weights may be purged; the row stays."""
+
+    __tablename__ = "versions"
+    __table_args__ = (
+        Index(None, "user_uuid", "number", unique=True),
+        Index(
+            "uq_versions_active",
+            "user_uuid",
+            unique=True,
+            sqlite_where=text("state = 'active'"),
+            postgresql_where=text("state = 'active'"),
+        ),
+        Index(None, "user_uuid", "created_at", "id"),
+        CheckConstraint("number >= 1", name="number"),
+    )
+
+    id: Mapped[UUID] = mapped_column(primary_key=True, default=uuid4)
+    user_uuid: Mapped[UUID] = _owner()
+    number: Mapped[int]
+    state: Mapped[str] = mapped_column(String(16))
+    parent: Mapped[int]
+    base_sha256: Mapped[str] = mapped_column(String(64))
+    sha256: Mapped[str] = mapped_column(String(64))
+    size: Mapped[int]
+    weights_sha256: Mapped[str | None] = mapped_column(ForeignKey("weights.sha256"), index=True)
+    trained_on: Mapped[list[str]]
+    metrics: Mapped[dict[str, Any]]
+    job_id: Mapped[UUID | None] = mapped_column(ForeignKey("jobs.id", ondelete="SET NULL"))
+    created_at: Mapped[datetime] = mapped_column(default=utc_now)
+    activated_at: Mapped[datetime | None]
+
+
+class ActivationRow(Base):
+    """What was made active, when and by whom; only ever added to."""
+
+    __tablename__ = "activations"
+
+    id: Mapped[int] = mapped_column(
+        BigInteger().with_variant(Integer, "sqlite"), primary_key=True, autoincrement=True
+    )
+    user_uuid: Mapped[UUID] = _owner(index=True)
+    number: Mapped[int]
+    kind: Mapped[str] = mapped_column(String(16))
+    actor: Mapped[UUID | None]
+    at: Mapped[datetime] = mapped_column(default=utc_now)
+
+
+class IdempotencyRow(Base):
+    """The answer to a request that may come again, per key, route and user."""
+
+    __tablename__ = "idempotency"
+
+    key_id: Mapped[UUID] = mapped_column(
+        ForeignKey("api_keys.id", ondelete="CASCADE"), primary_key=True
+    )
+    user_uuid: Mapped[UUID] = mapped_column(
+        ForeignKey("users.uuid", ondelete="CASCADE"), primary_key=True, index=True
+    )
+    route: Mapped[str] = mapped_column(String(64), primary_key=True)
+    token: Mapped[str] = mapped_column(String(200), primary_key=True)
+    body_sha256: Mapped[str] = mapped_column(String(64))
+    status: Mapped[int]
+    answer: Mapped[bytes] = mapped_column(LargeBinary)
+    expires_at: Mapped[datetime] = mapped_column(index=True)

@@ -1,6 +1,8 @@
 """Users: the row that everything else of a person hangs on."""
 
 import re
+from collections.abc import Mapping
+from typing import Any
 from uuid import UUID
 
 from sqlalchemy import delete, select, update
@@ -11,9 +13,11 @@ from app.domain.errors import UnknownUserError, UserExistsError
 from app.domain.events import Action
 from app.domain.pagination import Cursor, Page
 from app.domain.users import USER_ID_PATTERN, UpAxis, User, pseudonym
-from app.storage import audit
+from app.storage import audit, weights
 from app.storage.paging import page_query
 from app.storage.tables import UserRow
+
+CHANGEABLE = frozenset({"display_name", "auto_promote"})
 
 
 async def create(
@@ -56,6 +60,18 @@ async def get(tx: AsyncSession, user_id: str) -> User:
     return _to_user(await _find(tx, user_id))
 
 
+async def get_by_uuid(tx: AsyncSession, user_uuid: UUID) -> User:
+    """Find a user by what their rows hang on.
+
+    Raises:
+        UnknownUserError: they were erased.
+    """
+    row = await tx.get(UserRow, user_uuid)
+    if row is None:
+        raise UnknownUserError("The user was erased just now.")
+    return _to_user(row)
+
+
 async def list_page(tx: AsyncSession, *, after: Cursor | None, limit: int) -> Page[User]:
     """List users, newest first."""
     query = page_query(
@@ -69,17 +85,26 @@ async def list_page(tx: AsyncSession, *, after: Cursor | None, limit: int) -> Pa
     )
 
 
-async def rename(
-    tx: AsyncSession, user_id: str, *, display_name: str | None, actor: UUID | None
+async def change(
+    tx: AsyncSession, user_id: str, changes: Mapping[str, Any], *, actor: UUID | None
 ) -> User:
-    """Change the name that people see.
+    """Change the name that people see, or whether versions become active by themselves.
+
+    Args:
+        tx: a transaction for writing.
+        user_id: whose.
+        changes: new values of `display_name` and `auto_promote`, as far as they change.
+        actor: the key that asks.
 
     Raises:
         UnknownUserError: there is no such user.
     """
+    if not changes.keys() <= CHANGEABLE:
+        raise ValueError(f"of a user only {sorted(CHANGEABLE)} may change")
     _require_possible(user_id)
-    change = update(UserRow).where(UserRow.id == user_id).values(display_name=display_name)
-    row = await tx.scalar(change.returning(UserRow))
+    row = await tx.scalar(
+        update(UserRow).where(UserRow.id == user_id).values(**changes).returning(UserRow)
+    )
     if row is None:
         raise UnknownUserError(f"There is no user {user_id}.")
     audit.record(tx, Action.USER_CHANGED, actor=actor, user_uuid=row.uuid)
@@ -98,6 +123,7 @@ async def erase(tx: AsyncSession, user_id: str, *, actor: UUID | None, audit_key
     )  # the rows that hang on it go by the foreign keys
     if gone is None:
         raise UnknownUserError(f"There is no user {user_id}.")
+    await weights.drop_unused(tx)
     subject = pseudonym(user_id, key=audit_key)
     audit.record(tx, Action.USER_DELETED, actor=actor, subject=subject)
 
@@ -125,6 +151,7 @@ def _to_user(row: UserRow) -> User:
         root_relative=row.root_relative,
         display_name=row.display_name,
         created_at=row.created_at,
+        auto_promote=row.auto_promote,
     )
 
 

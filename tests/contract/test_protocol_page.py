@@ -153,7 +153,8 @@ def test_every_quality_flag_is_listed_with_its_severity():
 
 
 def test_flags_that_are_not_raised_yet_are_said_to_be():
-    code = "".join(path.read_text() for path in (ROOT / "app" / "live").glob("*.py"))
+    paths = [*(ROOT / "app" / "live").glob("*.py"), ROOT / "app" / "domain" / "body.py"]
+    code = "".join(path.read_text() for path in paths)
     silent = {flag.name for flag in FLAGS if f'"{flag.name}"' not in code}
     rows = read_rows(read_section(PAGE, "## Quality flags"), "flag")
     assert {row[0].strip("`") for row in rows[-3:]} == silent

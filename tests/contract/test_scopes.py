@@ -11,6 +11,9 @@ pytestmark = pytest.mark.asyncio
 PATHS = {
     "{user}": "ada",
     "{key}": "00000000-0000-0000-0000-000000000001",
+    "{trial}": "00000000-0000-0000-0000-000000000001",
+    "{job}": "00000000-0000-0000-0000-000000000001",
+    "{number}": "1",
 }
 OPEN_ROUTES = {
     "GET /healthz",
@@ -20,7 +23,17 @@ OPEN_ROUTES = {
     "GET /v1/limits",
     "GET /v1/quality",
 }
-PREDICT_ROUTES = {"POST /v1/users/{user}/forecast"}
+PREDICT_ROUTES = {
+    "POST /v1/users/{user}/forecast",
+    "GET /v1/users/{user}/versions",
+    "GET /v1/users/{user}/versions/{number}",
+}
+RECORD_ROUTES = {
+    "GET /v1/users/{user}/trials",
+    "POST /v1/users/{user}/trials",
+    "GET /v1/users/{user}/trials/{trial}",
+    "DELETE /v1/users/{user}/trials/{trial}",
+}
 
 
 @pytest_asyncio.fixture
@@ -50,7 +63,8 @@ async def test_documented_scopes_are_those_of_the_contract(service):
     scopes = {f"{method} {path}": scope for method, path, scope in list_routes(service)}
     assert {route for route, scope in scopes.items() if scope == "none"} == OPEN_ROUTES
     assert {route for route, scope in scopes.items() if scope == "predict"} == PREDICT_ROUTES
-    assert set(scopes.values()) == {"none", "predict", "admin"}
+    assert {route for route, scope in scopes.items() if scope == "record"} == RECORD_ROUTES
+    assert set(scopes.values()) == {"none", "predict", "record", "admin"}
 
 
 async def test_open_routes_need_no_key_and_all_others_do(service):
@@ -71,7 +85,7 @@ async def test_key_opens_exactly_the_routes_of_its_scopes(service):
 async def test_bound_key_is_refused_for_every_other_id_existing_or_not(service):
     key = (await service.add_key("predict", "record", user="ada"))["key"]
     for method, path, needed in list_routes(service):
-        if needed != "predict":
+        if needed not in ("predict", "record"):
             continue
         mine = await service.call(method, fill(path), key=key)
         assert mine.status_code not in (401, 403), (method, path)

@@ -280,10 +280,10 @@ async def test_overload_is_answered_with_when_to_come_back(tmp_path):
         entered, release, quick = asyncio.Event(), asyncio.Event(), decoders.forecast
         loop = asyncio.get_running_loop()
 
-        def slow(windows):
+        def slow(windows, forecaster):
             loop.call_soon_threadsafe(entered.set)
             asyncio.run_coroutine_threadsafe(release.wait(), loop).result(10)
-            return quick(windows)
+            return quick(windows, forecaster)
 
         decoders.forecast = slow
         first = asyncio.create_task(ask(service, **body))

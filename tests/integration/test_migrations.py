@@ -1,10 +1,11 @@
 import pytest
-from sqlalchemy import text
+from alembic import command
+from sqlalchemy import select, text
 
 from app.domain.errors import MigrationError, StartError
 from app.storage import migrate
 from app.storage.database import Database, find_database
-from app.storage.tables import Base
+from app.storage.tables import Base, UserRow
 from tests.support import make_settings, postgres_schema
 
 pytestmark = pytest.mark.asyncio
@@ -82,3 +83,24 @@ async def test_check_passes_and_there_is_one_newest_migration():
 async def test_other_databases_are_refused(tmp_path, url):
     with pytest.raises(StartError, match="KINECAST_DATABASE_URL"):
         find_database(make_settings(tmp_path, database_url=url))
+
+
+async def test_filled_database_of_the_first_version_keeps_its_users(settings):
+    database = Database.from_settings(settings)
+    async with database.write() as session:
+        await migrate._run(
+            session,
+            lambda connection: command.upgrade(migrate.alembic_config(connection), "0001"),
+        )
+        await session.execute(
+            text(
+                "INSERT INTO users (uuid, id, skeleton, up, root_relative, created_at) VALUES "
+                "('00000000000000000000000000000001', 'ada', 'kinect_v1', 'y', FALSE,"
+                " '2026-01-01 00:00:00.000000')"
+            )
+        )
+    assert await migrate.upgrade(database)
+    async with database.read() as tx:
+        ada = (await tx.scalars(select(UserRow))).one()
+    assert (ada.id, ada.auto_promote, ada.last_version, ada.served_at) == ("ada", True, 0, None)
+    await database.close()

@@ -27,6 +27,16 @@ from tests.support import make_settings
 
 pytestmark = pytest.mark.asyncio
 AUDIT_KEY = b"audit"
+PERSONAL_TABLES = (
+    "trials",
+    "clips",
+    "chunks",
+    "jobs",
+    "weights",
+    "versions",
+    "activations",
+    "idempotency",
+)
 
 
 async def add_user(database, user_id="ada"):
@@ -140,6 +150,7 @@ async def test_erasing_a_user_leaves_one_pseudonym_and_nothing_else(database):
         "api_keys": 0,
         "stream_sessions": 0,
         "audit": 1,
+        **dict.fromkeys(PERSONAL_TABLES, 0),
     }
     async with database.read() as tx:
         line = (await tx.scalars(select(AuditRow))).one()
@@ -165,7 +176,7 @@ async def test_recreated_id_never_meets_old_data(database):
 async def test_erasing_or_renaming_nobody_is_an_error(database):
     for change in (
         lambda tx: users.erase(tx, "ada", actor=None, audit_key=AUDIT_KEY),
-        lambda tx: users.rename(tx, "ada", display_name="Ada", actor=None),
+        lambda tx: users.change(tx, "ada", {"display_name": "Ada"}, actor=None),
         lambda tx: users.get(tx, "ada"),
     ):
         with pytest.raises(UnknownUserError):

@@ -92,6 +92,29 @@ class Api:
         """Erase a user; raises as `add_user` does."""
         _check(await self._send("DELETE", f"/v1/users/{user}"))
 
+    async def add_trial(
+        self, user: str, content: bytes, *, media_type: str, token: str
+    ) -> dict[str, Any]:
+        """Upload a trial; the same token and content again store nothing. Raises as `add_user`."""
+        headers = {
+            "Content-Type": media_type,
+            "Accept": "application/json",
+            "Idempotency-Key": token,
+        }
+        response = await self._send(
+            "POST", f"/v1/users/{user}/trials", content=content, headers=headers
+        )
+        _check(response)
+        answer: dict[str, Any] = response.json()
+        return answer
+
+    async def get_job(self, job: str) -> dict[str, Any]:
+        """Look how far a job is. Raises as `add_user`."""
+        response = await self._send("GET", f"/v1/admin/jobs/{job}")
+        _check(response)
+        answer: dict[str, Any] = response.json()
+        return answer
+
     async def forecast(
         self,
         user: str,

@@ -271,7 +271,7 @@ def test_forecasts_are_counted_by_stage_and_deadline(start) -> None:
     assert 'kinecast_forecast_latency_ms_bucket{le="33.0",stage="total"} 0.0' in text
 
 
-def test_versions_of_a_person_are_not_there_yet() -> None:
+def test_the_base_stands_in_for_no_personal_version() -> None:
     decoders = Decoders(ZeroVelocity(15), base_sha256="ab")
     for requested in ("active", "base", 0):
         assert decoders.resolve(requested).number == 0

@@ -6,9 +6,11 @@ from uuid import UUID, uuid4
 import pytest
 
 from app.domain.errors import DrainingError, KinecastError, NotReadyError, TooFastError
+from app.domain.motion import VersionStamp
 from app.domain.streams import OpenStream, Verdict
 from app.live.registry import Registry
 from app.live.telemetry import Telemetry
+from app.live.work import Choice
 from tests.unit.app.live.test_session import LIMITS
 
 USER, KEY = uuid4(), uuid4()
@@ -23,6 +25,7 @@ class FakeStream:
         self.ended: KinecastError | None = None
         self.unconfirmed = False
         self.ticks = 0
+        self.choices: list[Choice] = []
 
     def end(self, error: KinecastError) -> None:
         self.ended = error
@@ -30,6 +33,9 @@ class FakeStream:
 
     def tick(self, now: float) -> None:
         self.ticks += 1
+
+    def switch(self, choice: Choice) -> None:
+        self.choices.append(choice)
 
     def set_unconfirmed(self, *, unconfirmed: bool) -> None:
         self.unconfirmed = unconfirmed
@@ -145,3 +151,21 @@ async def test_streams_are_ticked(registry) -> None:
         await asyncio.sleep(1.3)
         await registry.stop()
     assert stream.ticks >= 1
+
+
+@pytest.mark.asyncio
+async def test_streams_go_over_to_what_is_active_for_their_user(database) -> None:
+    mine, other, late = FakeStream(session="a"), FakeStream(session="b", user=uuid4()), FakeStream()
+    choice = Choice(VersionStamp(1, "personal", "ab"))
+    doors = ExitStack()
+
+    async def follow(users):
+        doors.enter_context(registry.keep(late))
+        return dict.fromkeys(users - {other.stream.user_uuid}, choice)
+
+    registry = Registry(database.watch, limits=LIMITS, telemetry=Telemetry(), follow=follow)
+    with registry.keep(mine), registry.keep(other), doors:
+        await registry.follow()
+    assert mine.choices == [choice]
+    assert other.choices == []
+    assert late.choices == []  # it asked after the others did, and may know better

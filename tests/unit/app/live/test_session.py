@@ -42,6 +42,9 @@ LIMITS = Limits(
     streams_per_key=64,
     streams_per_user=8,
     forecast_frames=600,
+    trial_bytes=2**26,
+    clips=500,
+    frames_per_clip=9000,
 )
 
 

@@ -1,0 +1,194 @@
+"""Versions of a user's decoder: what there is, its weights, and which one is active."""
+
+from typing import Annotated
+
+import structlog
+from fastapi import APIRouter, Path, Request, Response
+
+from app.api.dependencies import (
+    PAGE_SIZE,
+    Admin,
+    After,
+    DatabaseNeeded,
+    JsonBody,
+    PageSize,
+    PathUser,
+    Predictor,
+)
+from app.api.openapi import DENIED, needs, problems
+from app.api.schemas import ActivationIn, PageOut, VersionDetailOut, VersionOut
+from app.domain import errors
+from app.domain.access import Scope
+from app.domain.errors import InternalError, InvalidError
+from app.domain.motion import VersionStamp
+from app.domain.versions import BASE_NUMBER, ActiveVersion, Version
+from app.storage import versions, weights
+from app.storage.weights import DamagedWeightsError
+
+router = APIRouter(tags=["versions"])
+PREDICT, ADMIN_ONLY = needs(Scope.PREDICT), needs(Scope.ADMIN)
+Number = Annotated[int, Path(ge=0, le=2**31 - 1, description="Of the version; 0 is the base.")]
+WEIGHTS_TYPE = "application/octet-stream"
+
+log = structlog.get_logger(__name__)
+
+
+@router.get(
+    "/v1/users/{user}/versions",
+    summary="List versions",
+    openapi_extra=PREDICT,
+    responses=problems(*DENIED, errors.UnknownUserError, InvalidError),
+)
+async def list_versions(
+    caller: Predictor,
+    user: PathUser,
+    database: DatabaseNeeded,
+    after: After,
+    limit: PageSize = PAGE_SIZE,
+) -> PageOut[VersionDetailOut]:
+    """List the personal versions of a user, newest first, with the judge's figures."""
+    del caller
+    async with database.read() as tx:
+        page = await versions.list_page(tx, user.uuid, after=after, limit=limit)
+    items = [_show(version) for version in page.items]
+    return PageOut[VersionDetailOut](items=items, next_cursor=page.next_cursor)
+
+
+@router.get(
+    "/v1/users/{user}/versions/{number}",
+    summary="Get a version",
+    openapi_extra=PREDICT,
+    responses=problems(*DENIED, errors.UnknownVersionError, InvalidError),
+)
+async def get_version(
+    caller: Predictor, user: PathUser, number: Number, database: DatabaseNeeded
+) -> VersionDetailOut:
+    """Get one personal version; the base, number 0, is nobody's own."""
+    del caller
+    async with database.read() as tx:
+        return _show(await versions.get(tx, user.uuid, number))
+
+
+@router.get(
+    "/v1/users/{user}/versions/{number}/weights",
+    summary="Download weights",
+    openapi_extra=ADMIN_ONLY,
+    response_class=Response,
+    responses={
+        200: {
+            "content": {WEIGHTS_TYPE: {"schema": {"type": "string", "format": "binary"}}},
+            "description": "A safetensors file; its sha256 is the ETag.",
+        },
+        304: {"description": "You have it already."},
+        **problems(*DENIED, errors.UnknownVersionError, errors.WeightsPurgedError, InvalidError),
+    },
+)
+async def get_weights(
+    caller: Admin, user: PathUser, number: Number, database: DatabaseNeeded, request: Request
+) -> Response:
+    """Download the weights of a version as safetensors."""
+    del caller
+    async with database.read() as tx:
+        if number == BASE_NUMBER:
+            sha256: str = request.app.state.base_sha256
+        else:
+            sha256 = (await versions.get(tx, user.uuid, number)).sha256
+        headers = {"ETag": f'"{sha256}"'}
+        if request.headers.get("if-none-match", "").strip() in {f'"{sha256}"', "*"}:
+            return Response(status_code=304, headers=headers)
+        try:
+            blob = await weights.get(tx, sha256)
+        except DamagedWeightsError:
+            log.exception("stored weights are damaged", sha256=sha256)
+            raise InternalError("These weights are damaged.") from None
+    return Response(blob, media_type=WEIGHTS_TYPE, headers=headers)
+
+
+@router.post(
+    "/v1/admin/users/{user}/versions/{number}/promote",
+    summary="Promote a version",
+    dependencies=[JsonBody],
+    openapi_extra=ADMIN_ONLY,
+    responses=problems(
+        *DENIED,
+        errors.UnknownVersionError,
+        errors.ActiveChangedError,
+        errors.WeightsPurgedError,
+        errors.UnsupportedMediaTypeError,
+        InvalidError,
+    ),
+)
+async def promote(
+    body: ActivationIn,
+    caller: Admin,
+    user: PathUser,
+    number: Number,
+    database: DatabaseNeeded,
+    request: Request,
+) -> VersionOut:
+    """Let a version answer from now on, 0 for the base; nothing is promoted by itself any more."""
+    base: str = request.app.state.base_sha256
+    async with database.write() as tx:
+        await versions.promote(
+            tx,
+            user.uuid,
+            number,
+            expected=body.active_sha256,
+            base_sha256=base,
+            actor=caller.key_id,
+        )
+        active = await versions.read_active_of(tx, user.uuid)
+    return show_active(active, base)
+
+
+@router.post(
+    "/v1/admin/users/{user}/rollback",
+    summary="Go back to the version before",
+    dependencies=[JsonBody],
+    openapi_extra=ADMIN_ONLY,
+    responses=problems(
+        *DENIED,
+        errors.UnknownUserError,
+        errors.ActiveChangedError,
+        errors.UnsupportedMediaTypeError,
+        InvalidError,
+    ),
+)
+async def roll_back(
+    body: ActivationIn, caller: Admin, user: PathUser, database: DatabaseNeeded, request: Request
+) -> VersionOut:
+    """Go back to what was active before and was not itself rolled back, else to the base."""
+    base: str = request.app.state.base_sha256
+    async with database.write() as tx:
+        await versions.roll_back(
+            tx, user.uuid, expected=body.active_sha256, base_sha256=base, actor=caller.key_id
+        )
+        active = await versions.read_active_of(tx, user.uuid)
+    return show_active(active, base)
+
+
+def show_active(active: ActiveVersion, base_sha256: str) -> VersionOut:
+    """Show what is active as a forecast would name it."""
+    stamp = VersionStamp(
+        number=active.number,
+        kind="base" if active.sha256 is None else "personal",
+        sha256=active.sha256 or base_sha256,
+    )
+    return VersionOut.model_validate(stamp)
+
+
+def _show(version: Version) -> VersionDetailOut:
+    return VersionDetailOut(
+        number=version.number,
+        state=version.state,
+        parent=version.parent,
+        base_sha256=version.base_sha256,
+        sha256=version.sha256,
+        bytes=version.size,
+        purged=version.purged,
+        trained_on=list(version.trained_on),
+        metrics=version.metrics,
+        job=version.job_id,
+        created_at=version.created_at,
+        activated_at=version.activated_at,
+    )

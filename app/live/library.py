@@ -1,0 +1,171 @@
+"""Which weights answer whom: asks the database, loads what is missing, and says why it changed.
+
+Weights are read and built off the event loop and off the engine's thread. A choice holds what it
+chose, so that nothing which is still in use can be dropped.
+"""
+
+import asyncio
+import time
+from collections import OrderedDict
+from collections.abc import Collection, Iterable
+from uuid import UUID
+
+import structlog
+
+from app.domain.errors import UnknownVersionError, VersionUnavailableError, WeightsPurgedError
+from app.domain.motion import RequestedVersion, VersionStamp
+from app.domain.versions import ActiveVersion
+from app.live.decoders import Decoders, UnusableWeightsError
+from app.live.work import Choice
+from app.storage import versions, weights
+from app.storage.database import Database
+from models.baselines import Forecaster
+
+KEPT = 64
+"""Decoders that stay loaded while nobody uses them."""
+RETRY_S = 10.0
+"""How long weights that could not be used are not tried again."""
+_UNUSABLE = (UnusableWeightsError, WeightsPurgedError, weights.DamagedWeightsError)
+
+log = structlog.get_logger(__name__)
+
+
+class Library:
+    """The personal weights of this process.
+
+    Args:
+        database: where versions and their weights are.
+        decoders: builds decoders from weights.
+    """
+
+    def __init__(self, database: Database, decoders: Decoders) -> None:
+        self.database, self._decoders = database, decoders
+        self._loaded: OrderedDict[str, Forecaster] = OrderedDict()
+        self._failed_at: dict[str, float] = {}
+        self._loading = asyncio.Lock()
+        self._seen: dict[UUID, tuple[ActiveVersion, Choice]] = {}
+
+    def loaded(self) -> frozenset[str]:
+        """Give the digests of the decoders that are held in memory."""
+        return frozenset(self._loaded)
+
+    async def choose(self, user_uuid: UUID, requested: RequestedVersion) -> Choice:
+        """Give what a request means now, ready to forecast.
+
+        Raises:
+            VersionUnavailableError: a pinned version that there is not, or that cannot be used.
+            NotReadyError: the database cannot be reached.
+        """
+        if requested in {"base", 0}:
+            return Choice(self._decoders.resolve(requested))
+        if requested != "active":
+            return await self._pin(user_uuid, int(requested))
+        async with self.database.read() as tx:
+            active = await versions.read_active_of(tx, user_uuid)
+        return await self._make(user_uuid, active)
+
+    async def follow(self, user_uuids: Collection[UUID]) -> dict[UUID, Choice]:
+        """Give what is active for users with open streams; called again and again.
+
+        Raises:
+            NotReadyError: the database cannot be reached.
+        """
+        if not user_uuids and not self._loaded:
+            self._seen.clear()
+            return {}
+        async with self.database.read() as tx:
+            found = await versions.read_active(tx, user_uuids)
+            stored = await weights.list_stored(tx, tuple(self._loaded))
+        for sha256 in self._loaded.keys() - stored:  # purged, or erased with its user
+            self._loaded.pop(sha256, None)
+        active = {user: found.get(user, ActiveVersion()) for user in user_uuids}
+        for user in self._seen.keys() - active.keys():
+            del self._seen[user]
+        for user in self._list_changed(active.items()):
+            reason = await self._explain(user)
+            self._seen[user] = (active[user], await self._make(user, active[user], reason))
+        return {user: self._seen[user][1] for user in active}
+
+    def _list_changed(self, active: Iterable[tuple[UUID, ActiveVersion]]) -> list[UUID]:
+        """List whose choice has to be made anew: another version, or one that failed before."""
+        changed = []
+        for user, version in active:
+            seen = self._seen.get(user)
+            if seen is None or seen[0] != version or seen[1].stamp.fallback is not None:
+                changed.append(user)
+        return changed
+
+    async def _explain(self, user_uuid: UUID) -> str:
+        async with self.database.read() as tx:
+            history = await versions.list_history(tx, user_uuid)
+        return history[-1].kind.value if history else "promoted"
+
+    async def _make(self, user_uuid: UUID, active: ActiveVersion, reason: str = "") -> Choice:
+        """Give the choice for an active version, or what is next best where it cannot be used."""
+        if active.sha256 is None:
+            return Choice(self._decoders.resolve("active"), reason=reason)
+        try:
+            forecaster = await self._load(active.sha256)
+        except _UNUSABLE:
+            return await self._step_down(user_uuid)
+        stamp = VersionStamp(active.number, "personal", active.sha256, share=1.0)
+        return Choice(stamp, forecaster, reason)
+
+    async def _step_down(self, user_uuid: UUID) -> Choice:
+        """Give what was active before; the base where that cannot be used either."""
+        async with self.database.read() as tx:
+            previous = await versions.read_previous(tx, user_uuid)
+        base = self._decoders.stamp_base("active", fallback="weights_missing")
+        if previous.sha256 is None:
+            return Choice(base, reason="weights_missing")
+        try:
+            forecaster = await self._load(previous.sha256)
+        except _UNUSABLE:
+            return Choice(base, reason="weights_missing")
+        stamp = VersionStamp(
+            previous.number, "personal", previous.sha256, share=1.0, fallback="previous_version"
+        )
+        return Choice(stamp, forecaster, reason="weights_missing")
+
+    async def _pin(self, user_uuid: UUID, number: int) -> Choice:
+        try:
+            async with self.database.read() as tx:
+                version = await versions.get(tx, user_uuid, number)
+            forecaster = await self._load(version.sha256)
+        except UnknownVersionError as error:
+            raise VersionUnavailableError(error.message) from None
+        except _UNUSABLE as error:
+            message = f"The weights of version {number} cannot be used: {error}."
+            raise VersionUnavailableError(message) from None
+        stamp = VersionStamp(number, "personal", version.sha256, requested=number, share=1.0)
+        return Choice(stamp, forecaster)
+
+    async def _load(self, sha256: str) -> Forecaster:
+        """Give a decoder, from the database if it is not there yet.
+
+        Raises:
+            UnusableWeightsError, WeightsPurgedError, DamagedWeightsError: it cannot be used.
+        """
+        async with self._loading:
+            if sha256 in self._loaded:
+                self._loaded.move_to_end(sha256)
+                return self._loaded[sha256]
+            self._refuse_what_failed(sha256)
+            try:
+                async with self.database.read() as tx:
+                    blob = await weights.get(tx, sha256)
+                forecaster = await asyncio.to_thread(self._decoders.build, blob)
+            except _UNUSABLE as error:
+                self._failed_at[sha256] = time.monotonic()
+                log.warning("weights cannot be used", sha256=sha256, why=str(error))
+                raise
+            self._failed_at.pop(sha256, None)
+            self._loaded[sha256] = forecaster
+            while len(self._loaded) > KEPT:
+                self._loaded.popitem(last=False)
+            return forecaster
+
+    def _refuse_what_failed(self, sha256: str) -> None:
+        failed_at = self._failed_at.get(sha256)
+        if failed_at is not None and time.monotonic() - failed_at < RETRY_S:
+            raise UnusableWeightsError("they failed a moment ago")

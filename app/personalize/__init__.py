@@ -1,0 +1,1 @@
+"""The personal flow: trial, job, fine-tuning, judgement, promotion."""

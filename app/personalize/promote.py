@@ -1,0 +1,71 @@
+"""Both ends of a run at the database: what it starts from, and what becomes of its outcome."""
+
+from contextlib import suppress
+from datetime import datetime
+from uuid import UUID
+
+from sqlalchemy.ext.asyncio import AsyncSession
+
+from app.domain.errors import WeightsPurgedError
+from app.domain.jobs import Claim, JobReason
+from app.personalize.run import Outcome, Task, TaskClip
+from app.storage import results, trials, users, versions, weights
+from app.storage.results import Result
+from app.storage.weights import DamagedWeightsError
+
+
+async def prepare_task(tx: AsyncSession, held: Claim, *, base: bytes, threads: int) -> Task:
+    """Read what a run starts from.
+
+    Raises:
+        UnknownUserError: they were erased.
+    """
+    user = await users.get_by_uuid(tx, held.user_uuid)
+    active = await versions.read_active_of(tx, held.user_uuid)
+    clips = [
+        TaskClip(str(clip.trial_id), clip.info.ordinal, clip.info.action, list(clip.chunks))
+        async for clip in trials.iterate_clips(tx, held.trials)
+    ]
+    return Task(
+        skeleton=user.skeleton,
+        up=user.up,
+        clips=clips,
+        base=base,
+        active=await _read_weights(tx, active.sha256),
+        parent=active.number,
+        threads=threads,
+    )
+
+
+async def _read_weights(tx: AsyncSession, sha256: str | None) -> bytes | None:
+    """Read the active version; one whose weights are gone or damaged is nothing to compare with."""
+    if sha256 is None:
+        return None
+    with suppress(WeightsPurgedError, DamagedWeightsError):
+        return await weights.get(tx, sha256)
+    return None
+
+
+async def store_outcome(
+    tx: AsyncSession,
+    held: Claim,
+    outcome: Outcome,
+    *,
+    parent: int,
+    base_sha256: str,
+    now: datetime,
+    keep: int,
+) -> JobReason:
+    """Store everything that a run ended with, in one transaction; raises as `results.finish`."""
+    result = Result(
+        verdict=outcome.verdict,
+        message=outcome.message,
+        blob=outcome.blob,
+        parent=parent,
+        base_sha256=base_sha256,
+        metrics=outcome.metrics,
+    )
+    reason = await results.finish(tx, held, result, now=now, keep=keep)
+    for found in outcome.flaws:
+        await trials.mark_flaw(tx, UUID(found.trial), found.ordinal, flaw=found.flaw)
+    return reason

@@ -1,0 +1,1 @@
+"""The worker process: claims jobs, keeps them, runs them in a child, ends them."""

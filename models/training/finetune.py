@@ -1,0 +1,210 @@
+"""Phase 2 of the paper: fit one person's decoder, and nothing else, to that person's clips.
+
+Encoder, latent and discriminators are frozen, so everything that they say of a window is computed
+once, before training, for a few augmented copies of every window; what is left is the small
+decoder alone. Rates may differ by part (discriminative fine-tuning, Howard and Ruder 2018), and the
+weights are drawn back to the base's a little, so that little data moves them little.
+"""
+
+import copy
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from time import monotonic
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from models.data.augment import Augmentation, augment
+from models.data.clips import Clip
+from models.data.windows import cut_windows
+from models.decoder import Decoder
+from models.losses import reconstruction_loss
+from models.predictor import Predictor
+from models.training.config import one_cycle
+
+_ENCODE_BATCH = 512
+
+
+@dataclass(frozen=True, slots=True)
+class FinetuneConfig:
+    """Everything that decides what phase 2 gives; equal settings and clips give equal weights.
+
+    Attributes:
+        steps: optimisation steps.
+        batch: windows in a step.
+        learning_rate: peak of the one-cycle schedule, well below that of phase 1.
+        warm_up: share of the steps in which the rate rises.
+        rates: factor on the rate for parts of the decoder, by the beginning of their names.
+        copies: augmented copies of every window.
+        augmentation: what makes the copies; the person's own body, so neither mirror nor bones.
+        anchor: weight of the squared distance from the base's weights, as a decay towards them.
+        average: decay of the moving average of the weights, which is what is kept.
+        clip: largest norm of the gradient.
+        seed: of sampling and augmentation.
+    """
+
+    steps: int = 300
+    batch: int = 64
+    learning_rate: float = 5e-4
+    warm_up: float = 0.15
+    rates: Mapping[str, float] = field(default_factory=dict)
+    copies: int = 6
+    augmentation: Augmentation = field(
+        default_factory=lambda: replace(
+            Augmentation(), mix=0.0, flicker=0.0, tempo=0.0, slow=0.0, still=0.0
+        )
+    )
+    anchor: float = 0.0
+    average: float = 0.98
+    clip: float = 1.0
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class FinetuneProgress:
+    """Where a fit is; `loss` is that of phase 1."""
+
+    step: int
+    steps: int
+    loss: float
+    seconds_left: float
+
+
+@dataclass(frozen=True, slots=True)
+class Encodings:
+    """What the frozen part says of windows, and what the decoder should answer.
+
+    Attributes:
+        z: continuous latent.
+        c: categorical latent.
+        seed: last observed pose, in normalised units.
+        target: displacement of every future frame from it, in metres, in canonical heading.
+    """
+
+    z: Float[Tensor, "window continuous"]
+    c: Float[Tensor, "window category"]
+    seed: Float[Tensor, "window joint 3"]
+    target: Float[Tensor, "window horizon joint 3"]
+
+    def __len__(self) -> int:
+        """Count the windows."""
+        return len(self.z)
+
+    def pick(self, chosen: Tensor) -> "Encodings":
+        """Give some of the windows, by index or mask."""
+        return Encodings(self.z[chosen], self.c[chosen], self.seed[chosen], self.target[chosen])
+
+
+@torch.no_grad()
+def encode_windows(
+    predictor: Predictor, windows: Float[Tensor, "window time joint 3"]
+) -> Encodings:
+    """Run the frozen part once over whole windows (observed and future frames, metres)."""
+    observe = predictor.spec.observe
+    parts = []
+    for part in windows.split(_ENCODE_BATCH):
+        encoded = predictor.encode(part[:, :observe])
+        placed = predictor.normalizer.to_net(part[:, observe:], encoded.placement)
+        target = (placed - encoded.seed[:, None]) * predictor.normalizer.scales[0]
+        parts.append((encoded.z, encoded.c, encoded.seed, target))
+    return Encodings(*(torch.cat(column) for column in zip(*parts, strict=True)))
+
+
+def encode_clips(predictor: Predictor, clips: Sequence[Clip], config: FinetuneConfig) -> Encodings:
+    """Cut clips into windows and encode `copies` augmented versions of each.
+
+    Raises:
+        ValueError: no clip is as long as a window.
+    """
+    cut = cut_windows(clips, predictor.spec)
+    whole = torch.cat([torch.as_tensor(cut.observed), torch.as_tensor(cut.future)], dim=1)
+    copies = [
+        augment(whole, config.augmentation, observe=predictor.spec.observe)
+        for _ in range(config.copies)
+    ]
+    return encode_windows(predictor, torch.cat(copies))
+
+
+def finetune(
+    predictor: Predictor,
+    clips: Sequence[Clip],
+    config: FinetuneConfig,
+    *,
+    report: Callable[[FinetuneProgress], None] = lambda _: None,
+) -> Decoder:
+    """Fit a copy of the decoder to one person's clips; the predictor stays as it is.
+
+    `report` is called after every step and may raise to stop the fit. Deterministic: the same
+    predictor, clips, settings and number of threads give the same weights.
+    """
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(config.seed)
+        encodings = encode_clips(predictor, clips, config)
+        return fit_decoder(predictor, encodings, config, report=report)
+
+
+def fit_decoder(
+    predictor: Predictor,
+    encodings: Encodings,
+    config: FinetuneConfig,
+    *,
+    report: Callable[[FinetuneProgress], None] = lambda _: None,
+) -> Decoder:
+    """Fit a copy of the decoder to windows that were encoded before."""
+    scale, horizon = predictor.normalizer.scales[0], predictor.spec.horizon
+    base = predictor.decoder
+    decoder = copy.deepcopy(base).train().requires_grad_(requires_grad=True)
+    average = copy.deepcopy(base)
+    optimizer = torch.optim.Adam(_groups(decoder, config))
+    began = monotonic()
+    for step in range(config.steps):
+        part = encodings.pick(torch.randint(len(encodings), (config.batch,)))
+        shape = one_cycle(step / config.steps, warm_up=config.warm_up)
+        for group in optimizer.param_groups:
+            group["lr"] = group["peak"] * shape
+        forecast = decoder(part.z, part.c, part.seed, horizon=horizon) * scale
+        loss = reconstruction_loss(forecast, part.target)
+        optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        nn.utils.clip_grad_norm_(decoder.parameters(), config.clip)
+        optimizer.step()
+        _follow(decoder, base, average, anchor=config.anchor * shape, keep=config.average)
+        left = (monotonic() - began) / (step + 1) * (config.steps - step - 1)
+        report(FinetuneProgress(step + 1, config.steps, float(loss.detach()), left))
+    return average.eval().requires_grad_(requires_grad=False)
+
+
+@torch.no_grad()
+def blend(base: Decoder, fitted: Decoder, share: float) -> Decoder:
+    """Weights between the base's (0) and the fitted ones (1) (WiSE-FT, Wortsman et al. 2022)."""
+    mixed = copy.deepcopy(base)
+    parts = zip(mixed.parameters(), fitted.parameters(), strict=True)
+    for weight, target in parts:
+        weight.lerp_(target, share)
+    return mixed
+
+
+def _groups(decoder: Decoder, config: FinetuneConfig) -> list[dict[str, object]]:
+    """One group of parameters per rate; the longest name that fits decides."""
+    groups: dict[float, list[nn.Parameter]] = {}
+    for name, parameter in decoder.named_parameters():
+        fitting = [prefix for prefix in config.rates if name.startswith(prefix)]
+        factor = config.rates[max(fitting, key=len)] if fitting else 1.0
+        groups.setdefault(factor, []).append(parameter)
+    return [
+        {"params": params, "lr": 0.0, "peak": config.learning_rate * factor}
+        for factor, params in groups.items()
+    ]
+
+
+@torch.no_grad()
+def _follow(
+    decoder: Decoder, base: Decoder, average: Decoder, *, anchor: float, keep: float
+) -> None:
+    """Draw the weights back to the base's, and let their average follow them."""
+    triples = zip(decoder.parameters(), base.parameters(), average.parameters(), strict=True)
+    for weight, origin, averaged in triples:
+        if anchor:
+            weight.lerp_(origin, anchor)
+        averaged.lerp_(weight, 1 - keep)

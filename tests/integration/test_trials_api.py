@@ -1,0 +1,386 @@
+"""Trials over HTTP, in every format; versions and jobs as an operator sees them."""
+
+import asyncio
+import io
+from uuid import UUID
+
+import msgspec
+import numpy as np
+import pytest
+
+from app.domain.recordings import unpack_frames
+from app.storage import trials, users
+from tests.personal_support import claim, finish, record_frames
+from tests.support import make_settings, run_service
+
+pytestmark = pytest.mark.asyncio
+TRIALS = "/v1/users/ada/trials"
+MSGPACK = {"Content-Type": "application/msgpack", "Accept": "application/json"}
+
+
+def to_json(frames, **fields):
+    return {"frames": frames.joints.tolist(), "action": "wave", **fields}
+
+
+def to_msgpack(frames):
+    joints = frames.joints.astype("<f4")
+    array = {"shape": list(joints.shape), "dtype": "<f4", "data": joints.tobytes()}
+    times = {"shape": [len(joints)], "dtype": "<f8", "data": frames.t.tobytes()}
+    return {"frames": array, "t": times}
+
+
+async def upload(service, *clips, headers=None, **fields):
+    body = {"clips": list(clips), **fields}
+    return await service.call("POST", TRIALS, json=body, headers=headers or {})
+
+
+async def read_stored(service, trial_id):
+    async with service.database.read() as tx:
+        found = await trials.read_clips(tx, UUID(trial_id))
+    return [unpack_frames(clip.chunks) for clip in found]
+
+
+async def test_trial_is_stored_as_received_and_gets_a_job(service):
+    await service.add_user()
+    frames = record_frames()
+    answer = await upload(service, to_json(frames), label="monday")
+    assert answer.status_code == 202, answer.text
+    trial, job = answer.json()["trial"], answer.json()["job"]
+    assert (trial["state"], trial["clips"], trial["frames"]) == ("stored", 1, len(frames))
+    assert (trial["label"], trial["user"], trial["seconds"]) == ("monday", "ada", 1.967)
+    assert (job["state"], job["reason"], job["trials"]) == ("queued", "trial", None)
+    (stored,) = await read_stored(service, trial["id"])
+    assert np.array_equal(stored.joints, frames.joints)
+    assert stored.t[-1] == 0.0
+    listed = (await service.call("GET", TRIALS)).json()["items"]
+    one = (await service.call("GET", f"{TRIALS}/{trial['id']}")).json()
+    assert listed == [trial] == [one]
+
+
+async def test_trials_join_the_job_that_waits(service):
+    await service.add_user()
+    answers = [(await upload(service, to_json(record_frames()))).json() for _ in range(2)]
+    assert answers[0]["job"]["id"] == answers[1]["job"]["id"]
+    quiet = (await upload(service, to_json(record_frames()), finetune=False)).json()
+    assert quiet["job"] is None
+
+
+async def test_msgpack_keeps_missing_joints_and_late_times(service):
+    await service.add_user()
+    frames = record_frames()
+    frames.joints[5:7, 3] = np.nan
+    frames = type(frames)(t=frames.t + 1.7e9, joints=frames.joints)
+    body = msgspec.msgpack.encode({"clips": [to_msgpack(frames)]})
+    answer = await service.call("POST", TRIALS, content=body, headers=MSGPACK)
+    assert answer.status_code == 202, answer.text
+    (stored,) = await read_stored(service, answer.json()["trial"]["id"])
+    assert stored.t.tobytes() == frames.t.tobytes()
+    assert stored.joints.tobytes() == frames.joints.tobytes()
+    plain = await service.call(
+        "POST", TRIALS, content=body, headers={"Content-Type": "application/msgpack"}
+    )
+    assert msgspec.msgpack.decode(plain.content)["trial"]["clips"] == 1
+
+
+async def test_large_bodies_are_read_elsewhere_with_the_same_result(service):
+    await service.add_user()
+    clips = [to_json(record_frames(4.0, seed=i)) for i in range(4)]
+    answer = await upload(service, *clips)
+    assert len(answer.request.content) > 131_072
+    assert answer.status_code == 202, answer.text
+    assert answer.json()["trial"]["clips"] == 4
+    clips[3]["frames"][5][2] = [0, 0]
+    wrong = await upload(service, *clips)
+    assert wrong.status_code == 422
+    assert wrong.json()["errors"][0]["loc"] == ["body", "clips", 3, "frames", 5, 2]
+
+
+async def test_short_and_wrong_clips_are_stored_unused_and_reported(service):
+    await service.add_user()
+    good = record_frames()
+    short = {"frames": good.joints[:29].tolist()}
+    frozen = {"frames": [good.joints[0].tolist()] * 40}
+    answer = await upload(service, to_json(good), short, frozen)
+    trial = answer.json()["trial"]
+    assert (trial["clips"], trial["clips_unused"]) == (3, 2)
+    assert [clip["reason"] for clip in trial["details"]] == [None, "too_short", "frozen_input"]
+    assert [clip["used"] for clip in trial["details"]] == [True, False, False]
+    assert all(clip["message"] for clip in trial["details"][1:])
+    assert len(await read_stored(service, trial["id"])) == 3
+
+
+async def test_same_idempotency_key_stores_once(service):
+    await service.add_user()
+    headers = {"Idempotency-Key": "one"}
+    clip = to_json(record_frames())
+    answers = await asyncio.gather(*(upload(service, clip, headers=headers) for _ in range(3)))
+    assert len({answer.text for answer in answers}) == 1
+    assert len((await service.call("GET", TRIALS)).json()["items"]) == 1
+    other = await upload(service, clip, headers=headers, label="x")
+    assert (other.status_code, other.json()["code"]) == (422, "idempotency_key_reused")
+    again = await upload(service, clip, headers={"Idempotency-Key": "two"})
+    assert again.json()["trial"]["id"] != answers[0].json()["trial"]["id"]
+
+
+@pytest.mark.parametrize(
+    ("body", "code"),
+    [
+        ({"clips": []}, "invalid_request"),
+        ({}, "invalid_request"),
+        ({"clips": [{}]}, "invalid_request"),
+        ({"clips": [{"frames": [[[0, 0, 0]]]}]}, "wrong_joint_count"),
+        ({"clips": [{"frames": [[[0, 0, 999]] * 20]}]}, "bad_frame"),
+        ({"clips": [{"frames": [[None] * 20] * 2, "t": [1.0]}]}, "bad_frame"),
+        ({"clips": [{"frames": [[None] * 20] * 2, "t": [1.0, 1.0]}]}, "t_not_increasing"),
+        ({"clips": [{"frames": [[None] * 20], "speed": 1}]}, "unknown_field"),
+        ({"clips": [{"frames": [None] * 9001}]}, "limit_exceeded"),
+        ({"clips": [{}] * 501}, "limit_exceeded"),
+    ],
+)
+async def test_wrong_trial_is_refused(service, body, code):
+    await service.add_user()
+    answer = await service.call("POST", TRIALS, json=body)
+    assert (answer.status_code, answer.json()["code"]) == (422, code), answer.text
+    assert (await service.call("GET", TRIALS)).json()["items"] == []
+
+
+def write_npz(frames, subjects=("1",)):
+    count = len(subjects)
+    buffer = io.BytesIO()
+    np.savez(
+        buffer,
+        frames=np.concatenate([frames.joints] * count),
+        lengths=np.array([len(frames)] * count),
+        subject=np.array(subjects),
+        action=np.array(["wave"] * count),
+        trial=np.array(["1"] * count),
+        rate_hz=np.float64(30.0),
+    )
+    return buffer.getvalue()
+
+
+def write_csv(frames):
+    from models.skeleton import KINECT_V1
+
+    names = [f"{joint}.{axis}" for joint in KINECT_V1.joints for axis in "xyz"]
+    lines = [",".join(["t", "action", *names])]
+    for t, pose in zip(frames.t, frames.joints, strict=True):
+        numbers = ["" if np.isnan(x) else repr(float(x)) for x in pose.ravel()]
+        lines.append(",".join([repr(float(t)), "wave", *numbers]))
+    return "\n".join(lines).encode()
+
+
+def write_mat(frames):
+    import scipy.io
+
+    buffer = io.BytesIO()
+    scipy.io.savemat(buffer, {"d_skel": frames.joints.transpose(1, 2, 0).astype(np.float64)})
+    return buffer.getvalue()
+
+
+async def send_files(service, *files, **fields):
+    parts = [("file", (name, content, "application/octet-stream")) for name, content in files]
+    return await service.call("POST", TRIALS, files=parts, data=fields)
+
+
+async def test_files_of_every_kind_are_read(service):
+    await service.add_user()
+    frames = record_frames()
+    frames.joints[3, 7] = np.nan
+    whole = record_frames()
+    answer = await send_files(
+        service,
+        ("a1_s2_t1_skeleton.mat", write_mat(whole)),
+        ("more.npz", write_npz(whole)),
+        ("own.csv", write_csv(frames)),
+        label="files",
+        finetune="false",
+    )
+    assert answer.status_code == 202, answer.text
+    trial = answer.json()["trial"]
+    assert (trial["label"], answer.json()["job"]) == ("files", None)
+    assert [clip["action"] for clip in trial["details"]] == ["1", "wave", "wave"]
+    mat, npz, table = await read_stored(service, trial["id"])
+    assert np.array_equal(mat.joints, whole.joints)
+    assert np.array_equal(npz.joints, whole.joints)
+    assert np.array_equal(table.joints, frames.joints, equal_nan=True)
+    assert np.array_equal(table.t, frames.t)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "word"),
+    [
+        ("a.mat", b"nonsense", "MATLAB"),
+        ("a.npz", b"nonsense", "npz"),
+        ("a.csv", b"a,b\n1,2\n", "head.x"),
+        ("a.csv", b"\xff\xfe", "UTF-8"),
+        ("a.exe", b"", ".mat"),
+    ],
+)
+async def test_file_that_cannot_be_read_is_named(service, name, content, word):
+    await service.add_user()
+    answer = await send_files(service, (name, content))
+    assert (answer.status_code, answer.json()["code"]) == (422, "bad_recording")
+    assert name in answer.json()["detail"]
+    assert word in answer.json()["detail"]
+    assert "upload.npz" not in answer.text
+
+
+async def test_file_of_several_people_is_refused(service):
+    await service.add_user()
+    answer = await send_files(service, ("a.npz", write_npz(record_frames(), ("1", "2"))))
+    assert "several people (1, 2)" in answer.json()["detail"]
+
+
+async def test_upload_that_takes_too_long_is_refused(tmp_path):
+    settings = make_settings(tmp_path, parse_timeout_s=0.05)
+    async with run_service(settings) as service:
+        await service.add_user()
+        answer = await send_files(service, ("a.npz", write_npz(record_frames())))
+        assert (answer.status_code, answer.json()["code"]) == (422, "bad_recording")
+        assert "timed out" in answer.json()["detail"]
+
+
+async def test_erased_trial_is_gone(service):
+    await service.add_user()
+    trial = (await upload(service, to_json(record_frames()))).json()["trial"]["id"]
+    assert (await service.call("DELETE", f"{TRIALS}/{trial}")).status_code == 204
+    for method in ("GET", "DELETE"):
+        answer = await service.call(method, f"{TRIALS}/{trial}")
+        assert (answer.status_code, answer.json()["code"]) == (404, "unknown_trial")
+
+
+async def test_nobody_sees_the_trials_of_somebody_else(service):
+    await service.add_user()
+    await service.add_user("bob")
+    trial = (await upload(service, to_json(record_frames()))).json()["trial"]["id"]
+    answer = await service.call("GET", f"/v1/users/bob/trials/{trial}")
+    assert answer.status_code == 404
+
+
+async def make_version(service, **result):
+    await upload(service, to_json(record_frames()))
+    await finish(service.database, await claim(service.database), **result)
+
+
+async def test_versions_are_listed_downloaded_promoted_and_rolled_back(service):
+    await service.add_user()
+    await make_version(service, blob=b"one")
+    (shown,) = (await service.call("GET", "/v1/users/ada/versions")).json()["items"]
+    assert (shown["number"], shown["state"], shown["bytes"]) == (1, "active", 3)
+    assert shown == (await service.call("GET", "/v1/users/ada/versions/1")).json()
+    user = (await service.call("GET", "/v1/users/ada")).json()
+    assert user["version"]["sha256"] == shown["sha256"]
+    assert (user["version"]["kind"], user["auto_promote"]) == ("personal", True)
+    path = "/v1/users/ada/versions/1/weights"
+    download = await service.call("GET", path)
+    assert (download.content, download.headers["etag"]) == (b"one", f'"{shown["sha256"]}"')
+    etag = {"If-None-Match": download.headers["etag"]}
+    assert (await service.call("GET", path, headers=etag)).status_code == 304
+    rolled = await service.call("POST", "/v1/admin/users/ada/rollback", json={})
+    assert (rolled.status_code, rolled.json()["number"]) == (200, 0)
+    stale = await service.call(
+        "POST",
+        "/v1/admin/users/ada/versions/1/promote",
+        json={"active_sha256": shown["sha256"]},
+    )
+    assert (stale.status_code, stale.json()["code"]) == (409, "active_changed")
+    promoted = await service.call("POST", "/v1/admin/users/ada/versions/1/promote", json={})
+    assert promoted.json()["number"] == 1
+    user = (await service.call("GET", "/v1/users/ada")).json()
+    assert user["auto_promote"] is False
+    patched = await service.call("PATCH", "/v1/users/ada", json={"auto_promote": True})
+    assert patched.json()["auto_promote"] is True
+    missing = await service.call("GET", "/v1/users/ada/versions/2")
+    assert (missing.status_code, missing.json()["code"]) == (404, "unknown_version")
+
+
+async def test_purged_weights_are_gone_and_damaged_ones_are_not_handed_out(service):
+    from sqlalchemy import text
+
+    await service.add_user()
+    await make_version(service, blob=b"one")
+    async with service.database.write() as tx:
+        await tx.execute(text("UPDATE weights SET blob = :blob"), {"blob": b"two"})
+    path = "/v1/users/ada/versions/1/weights"
+    assert (await service.call("GET", path)).status_code == 500
+    async with service.database.write() as tx:
+        await tx.execute(text("UPDATE versions SET weights_sha256 = NULL"))
+        await tx.execute(text("DELETE FROM weights"))
+    assert (await service.call("GET", path)).json()["code"] == "weights_purged"
+
+
+async def test_admin_asks_for_fine_tuning_and_calls_it_off(service):
+    await service.add_user()
+    path = "/v1/admin/users/ada/finetune"
+    nothing = await service.call("POST", path, json={})
+    assert (nothing.status_code, nothing.json()["code"]) == (422, "nothing_to_train_on")
+    trial = (await upload(service, to_json(record_frames()), finetune=False)).json()["trial"]["id"]
+    chosen = await service.call("POST", path, json={"trials": [trial]})
+    assert (chosen.status_code, chosen.json()["trials"]) == (202, [trial])
+    again = await service.call("POST", path, json={"trials": [trial]})
+    assert (again.status_code, again.json()["code"]) == (409, "job_queued")
+    unknown = await service.call("POST", path, json={"trials": [str(UUID(int=1))]})
+    assert unknown.status_code == 404
+    job = chosen.json()["id"]
+    listed = (await service.call("GET", "/v1/admin/jobs?user=ada&state=queued")).json()["items"]
+    assert [item["id"] for item in listed] == [job]
+    cancelled = await service.call("POST", f"/v1/admin/jobs/{job}/cancel")
+    assert cancelled.json()["state"] == "cancelled"
+    assert (await service.call("GET", f"/v1/admin/jobs/{job}")).json()["state"] == "cancelled"
+
+
+async def test_changes_of_a_job_are_told_until_its_end(service):
+    await service.add_user()
+    job = (await upload(service, to_json(record_frames()))).json()["job"]["id"]
+
+    async def work():
+        held = await claim(service.database)
+        await asyncio.sleep(0.7)
+        await finish(service.database, held)
+
+    worker = asyncio.create_task(work())
+    answer = await service.call("GET", f"/v1/admin/jobs/{job}/events", timeout=20)
+    await worker
+    assert answer.headers["content-type"].startswith("text/event-stream")
+    told = [
+        msgspec.json.decode(line.removeprefix("data: "))["state"]
+        for line in answer.text.splitlines()
+        if line.startswith("data: ")
+    ]
+    assert told[-1] == "succeeded"
+    assert told in (["queued", "running", "succeeded"], ["running", "succeeded"])
+
+
+async def test_erasing_a_user_erases_what_was_recorded(service):
+    await service.add_user()
+    await make_version(service)
+    assert (await service.call("DELETE", "/v1/users/ada")).status_code == 204
+    assert (await service.call("GET", "/v1/admin/jobs")).json()["items"] == []
+    async with service.database.read() as tx:
+        assert (await users.list_page(tx, after=None, limit=5)).items == []
+
+
+async def test_export_holds_every_trial_version_and_decision(service):
+    import json
+    import zipfile
+
+    await service.add_user()
+    frames = record_frames()
+    await upload(service, to_json(frames))
+    await finish(service.database, await claim(service.database), blob=b"one")
+    await service.call("POST", "/v1/admin/users/ada/rollback", json={})
+    answer = await service.call("GET", "/v1/users/ada/export")
+    with zipfile.ZipFile(io.BytesIO(answer.content)) as archive:
+        names = set(archive.namelist())
+        tables = {n: json.loads(archive.read(n)) for n in names if n.endswith(".json")}
+        (clip,) = (name for name in names if name.endswith(".npz"))
+        with np.load(io.BytesIO(archive.read(clip)), allow_pickle=False) as arrays:
+            assert np.array_equal(arrays["joints"], frames.joints)
+            assert set(arrays) == {"t", "joints"}
+        assert archive.read("versions/1.safetensors") == b"one"
+    assert [line["kind"] for line in tables["activations.json"]] == ["promoted", "rolled_back"]
+    assert [job["state"] for job in tables["jobs.json"]] == ["succeeded"]
+    assert [version["state"] for version in tables["versions.json"]] == ["retired"]
+    assert "version.rolled_back" in {event["action"] for event in tables["events.json"]}
+    assert "uuid" not in tables["user.json"]

@@ -1,0 +1,202 @@
+"""A real worker with a real training process, and trainers that need no nets."""
+
+import asyncio
+from contextlib import asynccontextmanager
+
+import pytest
+from sqlalchemy import text
+
+from app.domain.jobs import JobReason, JobState
+from app.domain.recordings import RawFrames
+from app.domain.trials import ClipFlaw
+from app.storage import jobs, trials, users, versions, weights
+from app.worker.loop import Worker, WorkerRules
+from app.worker.setup import store_base
+from tests.personal_support import (
+    BASE_SHA256,
+    add_trial,
+    add_user,
+    enqueue,
+    make_clip,
+    record_frames,
+)
+
+pytestmark = pytest.mark.asyncio
+
+
+def make_worker(database, trainer, *, stop=None, **rules):
+    given = {"owner": "test", "base": b"base", "base_sha256": BASE_SHA256, "poll_s": 0.05}
+    made = WorkerRules(trainer=f"tests.trainers:{trainer}", **(given | rules))
+    return Worker(database, made, stop or asyncio.Event())
+
+
+async def add_job(database, user_id="ada", clips=None):
+    async with database.write() as tx:
+        user = await add_user(tx, user_id)
+        if clips is None:
+            trial = await add_trial(tx, user, clips=2)
+        else:
+            trial = await trials.add(tx, user, label=None, finetune=True, clips=clips)
+        return user, trial, await enqueue(tx, user)
+
+
+async def get(database, job_id):
+    async with database.read() as tx:
+        return await jobs.get(tx, job_id)
+
+
+async def wait_for(database, job_id, condition):
+    for _ in range(400):
+        job = await get(database, job_id)
+        if condition(job):
+            return job
+        await asyncio.sleep(0.05)
+    raise AssertionError(job)
+
+
+@asynccontextmanager
+async def running(database, trainer, **rules):
+    stop = asyncio.Event()
+    task = asyncio.create_task(make_worker(database, trainer, stop=stop, **rules).run())
+    try:
+        yield stop
+    finally:
+        stop.set()
+        await asyncio.wait_for(task, 20)
+
+
+async def test_trial_becomes_a_version(database):
+    user, trial, job_id = await add_job(database)
+    assert await make_worker(database, "chatty").run_pending() == 1
+    job = await get(database, job_id)
+    assert (job.state, job.reason, job.version) == ("succeeded", "promoted", 1)
+    assert job.message == "better"
+    async with database.read() as tx:
+        version = await versions.get(tx, user.uuid, 1)
+        assert len(await weights.get(tx, version.sha256)) == 32
+    assert (version.state, version.parent, version.base_sha256) == ("active", 0, BASE_SHA256)
+    assert version.trained_on == (trial.id,)
+    assert version.metrics == {"clips": 2, "trials": [str(trial.id)]}
+
+
+async def test_loser_is_kept_with_its_figures(database):
+    user, _, job_id = await add_job(database)
+    await make_worker(database, "picky").run_pending()
+    job = await get(database, job_id)
+    assert (job.state, job.reason, job.version) == ("rejected", "did_not_win", 1)
+    async with database.read() as tx:
+        assert (await versions.read_active_of(tx, user.uuid)).number == 0
+        assert (await versions.get(tx, user.uuid, 1)).metrics["after"] == [2.0]
+
+
+async def test_junk_is_never_trained_on_and_named(database):
+    frames = record_frames()
+    still = RawFrames(t=frames.t, joints=frames.joints[:1].repeat(len(frames), axis=0))
+    clips = [make_clip(0, frames=still)]
+    user, trial, job_id = await add_job(database, clips=clips)
+    await make_worker(database, "deadly").run_pending()
+    job = await get(database, job_id)
+    assert (job.state, job.reason, job.version) == ("rejected", "too_little_data", None)
+    assert "same pose" in job.message
+    async with database.read() as tx:
+        (clip,) = (await trials.get(tx, user, trial.id)).clips
+    assert clip.flaw is ClipFlaw.FROZEN
+
+
+async def test_somebody_else_is_left_out_of_training(database):
+    clips = [make_clip(i, frames=record_frames(seed=1)) for i in range(4)]
+    user, first, _ = await add_job(database, clips=clips)
+    frames = record_frames(seed=1)
+    other = RawFrames(t=frames.t, joints=frames.joints * 1.2)
+    async with database.write() as tx:
+        strange = [make_clip(i, frames=other) for i in range(4)]
+        second = await trials.add(tx, user, label=None, finetune=True, clips=strange)
+    await make_worker(database, "quick").run_pending()
+    async with database.read() as tx:
+        assert (await versions.get(tx, user.uuid, 1)).metrics["trials"] == [str(first.id)]
+        found = {clip.flaw for clip in (await trials.get(tx, user, second.id)).clips}
+    assert found == {ClipFlaw.NOT_THIS_PERSON}
+
+
+async def test_progress_is_told_and_cancelling_takes_a_second(database):
+    _, _, job_id = await add_job(database)
+    async with running(database, "slow"):
+        await wait_for(database, job_id, lambda job: (job.progress or {}).get("step", 0) > 1)
+        async with database.write() as tx:
+            job = await jobs.get(tx, job_id)
+            await jobs.cancel(tx, job_id, actor=None, now=job.started_at)
+        began = asyncio.get_running_loop().time()
+        job = await wait_for(database, job_id, lambda job: job.state.is_final)
+        assert asyncio.get_running_loop().time() - began < 1.5
+    assert (job.state, job.reason) == (JobState.CANCELLED, JobReason.CANCELLED)
+
+
+async def test_worker_that_is_stopped_gives_its_job_to_the_next(database):
+    _, _, job_id = await add_job(database)
+    async with running(database, "slow"):
+        await wait_for(database, job_id, lambda job: job.progress is not None)
+    assert (await get(database, job_id)).state == "running"
+    assert await make_worker(database, "quick").run_pending() == 1
+    job = await get(database, job_id)
+    assert (job.state, job.attempt) == ("succeeded", 1)
+
+
+@pytest.mark.parametrize(
+    ("trainer", "word"), [("broken", "not finite"), ("deadly", "signal 9"), ("nowhere", "status 1")]
+)
+async def test_failed_attempt_waits_for_the_next_one(database, trainer, word):
+    _, _, job_id = await add_job(database)
+    assert await make_worker(database, trainer).run_pending() == 1
+    job = await get(database, job_id)
+    assert (job.state, job.attempt) == ("running", 1)
+    assert word in job.message
+    async with database.write() as tx:
+        await tx.execute(text("UPDATE jobs SET lease_until = created_at"))
+    assert await make_worker(database, "quick").run_pending() == 1
+    assert (await get(database, job_id)).state == "succeeded"
+
+
+async def test_training_that_takes_too_long_is_ended(database):
+    _, _, job_id = await add_job(database)
+    await make_worker(database, "slow", timeout_s=0.5).run_pending()
+    assert "longer than 0.5 s" in (await get(database, job_id)).message
+
+
+async def test_heartbeat_outlives_the_lease(database):
+    _, _, job_id = await add_job(database)
+    async with running(database, "slow", lease_s=1.0, heartbeat_s=0.3):
+        await wait_for(database, job_id, lambda job: job.progress is not None)
+        await asyncio.sleep(1.5)
+        assert await make_worker(database, "quick").run_pending() == 0
+
+
+async def test_job_that_was_lost_is_let_go(database):
+    _, _, job_id = await add_job(database)
+    async with running(database, "slow") as stop:
+        await wait_for(database, job_id, lambda job: job.progress is not None)
+        async with database.write() as tx:
+            await tx.execute(text("UPDATE jobs SET fence = fence + 1, state = 'failed'"))
+        await asyncio.sleep(1.0)
+        stop.set()
+    assert (await get(database, job_id)).state == "failed"
+
+
+async def test_user_erased_during_a_job_leaves_nothing(database):
+    _, _, job_id = await add_job(database)
+    async with running(database, "slow"):
+        await wait_for(database, job_id, lambda job: job.progress is not None)
+        async with database.write() as tx:
+            await users.erase(tx, "ada", actor=None, audit_key=b"audit")
+        await asyncio.sleep(1.0)
+        await add_job(database, "bob")  # the worker is there for the next one
+        async with database.read() as tx:
+            (job,) = (await jobs.list_page(tx, after=None, limit=5)).items
+        await wait_for(database, job.id, lambda job: job.progress is not None)
+
+
+async def test_base_is_stored_once(database):
+    rules = WorkerRules(owner="test", base=b"base", base_sha256="wrong on purpose")
+    for _ in range(2):
+        await store_base(database, rules)
+    async with database.read() as tx:
+        assert await tx.scalar(text("SELECT count(*) FROM weights WHERE kind = 'base'")) == 1

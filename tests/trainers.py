@@ -1,0 +1,41 @@
+"""Trainers for tests: the port to the nets, without nets."""
+
+import hashlib
+import os
+import signal
+import time
+
+from app.domain.versions import Verdict
+from app.personalize.run import Learned
+
+
+def quick(lesson, report):
+    """Learns the digest of what it saw."""
+    report({"step": 1, "steps": 1})
+    digest = hashlib.sha256(b"".join(clip.poses.tobytes() for clip in lesson.clips)).digest()
+    metrics = {"clips": len(lesson.clips), "trials": sorted({clip.trial for clip in lesson.clips})}
+    return Learned(Verdict.PROMOTE, "better", digest, metrics)
+
+
+def slow(lesson, report):
+    for step in range(600):
+        report({"step": step, "steps": 600})
+        time.sleep(0.05)
+    return quick(lesson, report)
+
+
+def picky(lesson, report):
+    return Learned(Verdict.REJECT, "not better", b"loser", {"before": [1.0], "after": [2.0]})
+
+
+def broken(lesson, report):
+    raise ValueError("the loss is not finite")
+
+
+def deadly(lesson, report):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def chatty(lesson, report):
+    print("a library that prints")
+    return quick(lesson, report)
