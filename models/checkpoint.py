@@ -10,14 +10,15 @@ from typing import Any
 
 import safetensors
 import torch
-from jaxtyping import Float
 from safetensors.torch import load as load_tensors
 from safetensors.torch import save as save_tensors
 from torch import Tensor, nn
 
 from models.baselines import Forecaster
 from models.decoder import Decoder
+from models.familiarity import Familiarity
 from models.latent import Adversary
+from models.personal import PersonalDecoder
 from models.predictor import NetConfig, Predictor
 from models.skeleton import KINECT_V1
 from models.spec import MotionSpec
@@ -25,7 +26,8 @@ from models.uncertainty import RadiusTable
 
 FORMAT, PERSONAL_FORMAT = "kinecast-base-1", "kinecast-personal-1"
 SHIPPED = Path(__file__).parent / "pretrained" / "base.safetensors"
-_NET, _ADVERSARY, _RADIUS, _DECODER = "net.", "adversary.", "radius", "decoder."
+_NET, _ADVERSARY, _RADIUS = "net.", "adversary.", "radius"
+_DECODER, _FAMILIARITY = "decoder.", "familiarity."
 
 
 class CheckpointError(ValueError):
@@ -119,34 +121,21 @@ def load_checkpoint(source: Path | bytes) -> Checkpoint:
     return Checkpoint(predictor, metadata, hashlib.sha256(blob).hexdigest(), radius, adversary)
 
 
-@dataclass(frozen=True, slots=True)
-class PersonalDecoder:
-    """One person's decoder behind the shared encoder; called like every forecaster.
-
-    Attributes:
-        base: the net that it belongs to; its encoder is shared, its decoder not used.
-        decoder: the person's, in evaluation mode.
-        metadata: what the file says about itself.
-    """
-
-    base: Predictor
-    decoder: Decoder
-    metadata: dict[str, Any]
-
-    def __call__(
-        self, window: Float[Tensor, "batch observe joint 3"]
-    ) -> Float[Tensor, "batch horizon joint 3"]:
-        """Forecast the frames that follow each window: metres, in the frame of the input."""
-        encoded = self.base.encode(window)
-        steps = self.base.spec.horizon
-        moved = self.decoder(encoded.z, encoded.c, encoded.seed, horizon=steps)
-        return self.base.normalizer.from_net(moved, window, encoded.placement)
-
-
-def dump_personal(decoder: Decoder, metadata: dict[str, Any], *, base_sha256: str) -> bytes:
+def dump_personal(
+    decoder: Decoder,
+    metadata: dict[str, Any],
+    *,
+    base_sha256: str,
+    familiarity: Familiarity | None = None,
+) -> bytes:
     """Serialise one person's decoder; the same input gives the same bytes."""
     tensors = {_DECODER + name: t.contiguous() for name, t in decoder.state_dict().items()}
     described = {"format": PERSONAL_FORMAT, "base_sha256": base_sha256} | metadata
+    if familiarity is not None:
+        tensors |= {
+            _FAMILIARITY + name: t.contiguous() for name, t in familiarity.tensors().items()
+        }
+        described["familiarity"] = familiarity.describe()
     return save_tensors(tensors, metadata={"kinecast": json.dumps(described, sort_keys=True)})
 
 
@@ -172,7 +161,8 @@ def load_personal(blob: bytes, base: Forecaster, *, base_sha256: str) -> Persona
         raise CheckpointError("the weights are not finite")
     decoder = copy.deepcopy(base.decoder)
     _fill(decoder, tensors, _DECODER)
-    return PersonalDecoder(base, decoder, metadata)
+    familiarity = _restore_familiarity(tensors, metadata, base.config.continuous)
+    return PersonalDecoder(base, decoder, familiarity, metadata)
 
 
 def write_state(path: Path, tensors: dict[str, Tensor], meta: dict[str, Any]) -> None:
@@ -213,6 +203,24 @@ def _fill(net: nn.Module, tensors: dict[str, Tensor], prefix: str) -> None:
             f"the weights do not fit the net they claim to be: {error}"
         ) from error
     net.eval().requires_grad_(requires_grad=False)
+
+
+def _restore_familiarity(
+    tensors: dict[str, Tensor], metadata: dict[str, Any], continuous: int
+) -> Familiarity | None:
+    found = {
+        name.removeprefix(_FAMILIARITY): tensor
+        for name, tensor in tensors.items()
+        if name.startswith(_FAMILIARITY)
+    }
+    if not found:
+        return None
+    if any(tensor.shape[-1:] != (continuous,) for tensor in found.values()):
+        raise CheckpointError(f"familiarity must be in a latent of {continuous} dimensions")
+    try:
+        return Familiarity.restore(found, metadata["familiarity"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise CheckpointError(f"bad model of familiarity: {error}") from error
 
 
 def _restore_radius(table: Tensor, metadata: dict[str, Any], spec: MotionSpec) -> RadiusTable:

@@ -16,6 +16,7 @@ from torch import Tensor
 PROTOTYPES = 96
 NEAREST = 3
 _ROUNDS = 12
+_SNAP = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +71,9 @@ class Familiarity:
         return torch.mean(nearest, dim=1)
 
     def share(self, z: Float[Tensor, "window continuous"]) -> Float[Tensor, " window"]:
-        """Part of the personal decoder in each forecast, between 0 and 1."""
-        return torch.sigmoid((self.rule.half - self.distance(z)) / self.rule.width)
+        """Part of the personal decoder in each forecast, 0 to 1; far enough out exactly these."""
+        share = torch.sigmoid((self.rule.half - self.distance(z)) / self.rule.width)
+        return ((share - _SNAP) / (1 - 2 * _SNAP)).clamp(0, 1)
 
     def tensors(self) -> dict[str, Tensor]:
         """Give what a version's blob stores."""
