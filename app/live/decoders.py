@@ -1,15 +1,22 @@
 """The nets that answer: the base, and personal decoders behind its encoder."""
 
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 import torch
 from jaxtyping import Float, Float32
+from torch import Tensor
 
 from app.domain.errors import VersionUnavailableError
 from app.domain.motion import Fallback, RequestedVersion, VersionStamp
-from models.baselines import Forecaster
+from app.live.breaker import Breaker
+from models.baselines import DampedVelocity, Forecaster
 from models.checkpoint import CheckpointError, load_personal
+from models.personal import PersonalDecoder
+from models.runtime.mixed import NET_FAILURES, forecast_mixed
 from models.skeleton import HIP_CENTER
 from models.uncertainty import RadiusTable
 
@@ -18,8 +25,29 @@ class UnusableWeightsError(ValueError):
     """Personal weights that no decoder of this process can be built from."""
 
 
+@dataclass(frozen=True, slots=True)
+class Computed:
+    """What a net made of one window.
+
+    Attributes:
+        displacement: metres from the last observed pose; as the net gave it, perhaps not finite.
+        share: the personal decoder's part of it, 0 for the base.
+    """
+
+    displacement: Float32[np.ndarray, "horizon 20 3"]
+    share: float
+
+
+Outcome = Computed | Exception
+"""A forecast, or what was raised in its stead."""
+
+
 class Decoders:
     """The base of this process, and what builds on it.
+
+    Attributes:
+        base_sha256: what the base's weights are called.
+        breaker: which personal decoders keep failing.
 
     Args:
         base: the base model, or any other forecaster.
@@ -31,6 +59,7 @@ class Decoders:
         self, base: Forecaster, *, base_sha256: str, radius: RadiusTable | None = None
     ) -> None:
         self.base_sha256 = base_sha256
+        self.breaker = Breaker()
         self._base, self._table = base, radius
         self._look_up = lru_cache(maxsize=64)(self._compute_radius)
 
@@ -62,30 +91,132 @@ class Decoders:
             raise UnusableWeightsError(str(error)) from error
 
     def forecast(
-        self,
-        windows: Float[np.ndarray, "batch observe 20 3"],
-        forecaster: Forecaster | None = None,
+        self, windows: Float[np.ndarray, "batch observe 20 3"]
     ) -> Float32[np.ndarray, "batch horizon 20 3"]:
-        """Forecast displacements (metres) from the last observed pose of each window.
-
-        Everything is taken relative to the last hip centre in float64 before it becomes float32,
-        so that the place of the person in the room costs no precision.
+        """Forecast displacements (metres) from the last observed pose of each window by the base.
 
         Args:
             windows: metres, net skeleton, y up.
-            forecaster: a personal decoder, None for the base.
         """
-        centred = windows - windows[:, -1:, HIP_CENTER : HIP_CENTER + 1]
-        given = torch.from_numpy(centred.astype(np.float32))
+        given = _centre(windows)
         with torch.inference_mode():
-            forecast = (forecaster or self._base)(given)
-            return (forecast - given[:, -1:]).float().numpy()
+            return _to_displacement(self._base(given), given)
 
-    def radius(self, coverage: float) -> Float32[np.ndarray, "horizon joint"] | None:
-        """Give the base's radius in metres, None where none is calibrated for this coverage."""
-        return self._look_up(round(coverage, 4))
+    def forecast_each(
+        self,
+        windows: Float[np.ndarray, "batch observe 20 3"],
+        forecasters: Sequence[Forecaster | None],
+    ) -> list[Outcome]:
+        """Forecast each window by its own version; the encoder runs once for all of them.
+
+        Args:
+            windows: metres, net skeleton, y up.
+            forecasters: for each window a personal decoder, None for the base.
+
+        Returns:
+            For each window the forecast, or what was raised in its stead.
+        """
+        given = _centre(windows)
+        outcomes: dict[int, Outcome] = {}
+        for rows in self._split(forecasters):
+            try:
+                with torch.inference_mode():
+                    made = self._compute(given[rows], [forecasters[row] for row in rows])
+            except NET_FAILURES as error:
+                made = [error for _ in rows]
+            outcomes |= zip(rows, made, strict=True)
+        return [outcomes[row] for row in range(len(given))]
+
+    def glide(
+        self, window: Float[np.ndarray, "observe 20 3"], *, horizon: int
+    ) -> Float32[np.ndarray, "horizon 20 3"]:
+        """Let a person slow down from where they are: displacements without any weights."""
+        given = torch.from_numpy(window[None])
+        glided = DampedVelocity(horizon)(given).double() - given[:, -1:]
+        return np.asarray(glided[0].float().numpy())
+
+    def radius(
+        self, coverage: float, *, share: float = 0.0, forecaster: Forecaster | None = None
+    ) -> Float32[np.ndarray, "horizon joint"] | None:
+        """Give the radius in metres, None where none is calibrated for this.
+
+        The base's table holds for the base. A personal version may say how much wider or narrower
+        its own is; as much of that counts as the version has a share in the forecast.
+
+        Args:
+            coverage: probability that the radius is to have.
+            share: the personal decoder's part of the forecast.
+            forecaster: that decoder.
+        """
+        radius = self._look_up(round(coverage, 4))
+        if radius is None or share == 0:
+            return radius
+        scale = _read_radius_scale(forecaster)
+        return None if scale is None else np.float32(1 + share * (scale - 1)) * radius
 
     def _compute_radius(self, coverage: float) -> Float32[np.ndarray, "horizon joint"] | None:
         if self._table is None or not 0 < coverage <= self._table.levels[-1]:
             return None
         return self._table.radius(coverage)
+
+    def _compute(
+        self, given: Float[Tensor, "batch observe 20 3"], forecasters: Sequence[Forecaster | None]
+    ) -> list[Outcome]:
+        """Compute one part of a batch: everybody behind the base's encoder, or one forecaster."""
+        first = next((one for one in forecasters if one is not None), None)
+        if isinstance(first, PersonalDecoder) and first.base is self._base:
+            return _forecast_mixed(first, given, forecasters)
+        displacement = _to_displacement((first or self._base)(given), given)
+        return [Computed(one, share=float(first is not None)) for one in displacement]
+
+    def _split(self, forecasters: Sequence[Forecaster | None]) -> list[list[int]]:
+        """Split a batch into the rows that are computed together.
+
+        The base and what runs behind its encoder are one part; any other forecaster has its own.
+        """
+        parts: dict[int, list[int]] = {}
+        for row, one in enumerate(forecasters):
+            shares = one is None or (isinstance(one, PersonalDecoder) and one.base is self._base)
+            parts.setdefault(0 if shares else id(one), []).append(row)
+        return list(parts.values())
+
+
+def _forecast_mixed(
+    first: PersonalDecoder,
+    given: Float[Tensor, "batch observe 20 3"],
+    forecasters: Sequence[Forecaster | None],
+) -> list[Outcome]:
+    """Forecast by the base of one personal decoder, and by all that run behind its encoder."""
+    personal = [one if isinstance(one, PersonalDecoder) else None for one in forecasters]
+    mixed = forecast_mixed(first.base, given, personal)
+    displacement = _to_displacement(mixed.frames, given)
+    return [
+        mixed.failures.get(row) or Computed(displacement[row], float(mixed.share[row]))
+        for row in range(len(given))
+    ]
+
+
+def _centre(
+    windows: Float[np.ndarray, "batch observe 20 3"],
+) -> Float[Tensor, "batch observe 20 3"]:
+    """Put each person's last hip centre at the origin, in float64, before it becomes float32.
+
+    So the place of the person in the room costs no precision.
+    """
+    centred = windows - windows[:, -1:, HIP_CENTER : HIP_CENTER + 1]
+    return torch.from_numpy(centred.astype(np.float32))
+
+
+def _to_displacement(
+    frames: Float[Tensor, "batch horizon 20 3"], given: Float[Tensor, "batch observe 20 3"]
+) -> Float32[np.ndarray, "batch horizon 20 3"]:
+    return (frames - given[:, -1:]).float().numpy()
+
+
+def _read_radius_scale(forecaster: Forecaster | None) -> float | None:
+    if not isinstance(forecaster, PersonalDecoder):
+        return None
+    scale = forecaster.metadata.get("radius_scale")
+    if not isinstance(scale, int | float) or isinstance(scale, bool):
+        return None
+    return float(scale) if math.isfinite(scale) and scale > 0 else None

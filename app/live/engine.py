@@ -1,13 +1,11 @@
 """The one thread that computes forecasts, off the event loop.
 
 It takes whoever waits at once, never waits for a batch to fill, and leaves only the newest window
-of each stream in its slot. A window whose forecast fails or is impossible gets a flagged fallback;
-the others of its batch do not notice.
+of each stream in its slot. Whatever their versions, windows that wait together are one batch.
 """
 
 import threading
 import time
-import traceback
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
@@ -16,30 +14,18 @@ from dataclasses import dataclass
 import numpy as np
 import structlog
 import torch
-from jaxtyping import Float, Float32
 
 from app.domain.errors import DrainingError, OverloadedError
-from app.domain.motion import Fallback, Timing, VersionKind, VersionStamp
+from app.domain.motion import Timing
 from app.live.decoders import Decoders
-from app.live.guard import GuardRules, is_possible
+from app.live.guard import GuardRules
+from app.live.ladder import Ladder, Landing
 from app.live.telemetry import Telemetry
-from app.live.work import Choice, EngineRequest, EngineResult
-from models.baselines import DampedVelocity, Forecaster
+from app.live.work import EngineRequest, EngineResult
+from models.runtime.mixed import NET_FAILURES
 from models.spec import MotionSpec
 
 DEADLINE_MS = 33.0
-LOG_EVERY_S = 10.0
-NET_FAILURES = (
-    RuntimeError,
-    ValueError,
-    TypeError,
-    ArithmeticError,
-    LookupError,
-    AttributeError,
-    AssertionError,
-    MemoryError,
-)
-"""What a net, or the library under it, can raise."""
 
 Done = Callable[[EngineResult], None]
 log = structlog.get_logger(__name__)
@@ -52,11 +38,6 @@ class _Job:
     request: EngineRequest
     on_done: Done
     since: float
-
-    @property
-    def forecaster(self) -> Forecaster | None:
-        """The personal decoder that shall answer, None for the base."""
-        return None if self.request.choice is None else self.request.choice.forecaster
 
 
 class Slot:
@@ -110,9 +91,10 @@ class Engine:
         self.decoders = decoders
         self.telemetry = telemetry or Telemetry()
         self.spec = spec or MotionSpec()
-        self._rules = rules or GuardRules()
+        self._ladder = Ladder(
+            decoders, telemetry=self.telemetry, rules=rules or GuardRules(), spec=self.spec
+        )
         self._batch, self._queue, self._threads = batch, queue, threads
-        self._damped = DampedVelocity(self.spec.horizon)
         self._condition = threading.Condition()
         self._waiting: deque[Slot] = deque()
         self._futures: set[Future[EngineResult]] = set()
@@ -121,7 +103,6 @@ class Engine:
         self._healthy = False
         self._thread = threading.Thread(target=self._live, name="kinecast-engine", daemon=True)
         self._recent_ms = 0.0
-        self._last_log = -LOG_EVERY_S
 
     @property
     def is_ready(self) -> bool:
@@ -223,8 +204,7 @@ class Engine:
             self._healthy = self._warm_up()
             self._warm.set()
             while jobs := self._take():
-                for group in _group_by_weights(jobs):
-                    self._serve(group)
+                self._serve(jobs)
         finally:
             self._warm.set()
             self._give_up()
@@ -242,7 +222,7 @@ class Engine:
                     log.error("the net's forecasts are not finite; its weights are damaged")
                     return False
         except NET_FAILURES as error:
-            self._report(error)
+            self._ladder.report(error)
             return False
         return True
 
@@ -261,20 +241,18 @@ class Engine:
 
     def _serve(self, jobs: Sequence[_Job]) -> None:
         started = time.perf_counter()
-        windows = np.stack([job.request.window for job in jobs])
-        forecasts = self._forecast(windows, jobs[0].forecaster)
+        landings = self._ladder.forecast([job.request for job in jobs])
         ended = time.perf_counter()
         self.telemetry.count_batch(len(jobs))
-        for job, forecast in zip(jobs, forecasts, strict=True):
+        for job, landing in zip(jobs, landings, strict=True):
             timing = Timing(
                 queue_ms=round((started - job.since) * 1e3, 3),
                 compute_ms=round((ended - started) * 1e3, 3),
                 total_ms=round((ended - job.since) * 1e3, 3),
             )
             self._recent_ms += 0.1 * (timing.total_ms - self._recent_ms)
-            result = self._judge(job.request, forecast, timing)
-            self.telemetry.count_forecast(timing, result.version, deadline_ms=DEADLINE_MS)
-            self._deliver(job, result)
+            self.telemetry.count_forecast(timing, landing.version, deadline_ms=DEADLINE_MS)
+            self._deliver(job, _to_result(job.request, landing, timing))
 
     def _deliver(self, job: _Job, result: EngineResult) -> None:
         try:
@@ -282,90 +260,13 @@ class Engine:
         except RuntimeError:  # the event loop that waited for it is closed
             log.warning("nobody waits for a forecast any more")
 
-    def _forecast(
-        self, windows: Float[np.ndarray, "batch 15 20 3"], forecaster: Forecaster | None
-    ) -> Sequence[Float32[np.ndarray, "15 20 3"] | None]:
-        """Forecast a batch; None for each window that the net fails on."""
-        try:
-            return list(self.decoders.forecast(windows, forecaster))
-        except NET_FAILURES as error:
-            if len(windows) == 1:
-                self._report(error)
-                return [None]
-        return [self._forecast(windows[i : i + 1], forecaster)[0] for i in range(len(windows))]
 
-    def _report(self, error: BaseException) -> None:
-        now = time.perf_counter()
-        if now - self._last_log >= LOG_EVERY_S:
-            self._last_log = now
-            # no exc_info: renderers that print local variables would log whole poses
-            trace = "".join(traceback.format_exception(error))
-            log.error("the net failed; forecasts are fallbacks", trace=trace)
-
-    def _judge(
-        self,
-        request: EngineRequest,
-        forecast: Float32[np.ndarray, "15 20 3"] | None,
-        timing: Timing,
-    ) -> EngineResult:
-        """Pass a forecast on, or put a fallback in its place."""
-        if forecast is None or not self._is_possible(forecast):
-            reason: Fallback = "engine_error" if forecast is None else "guard"
-            return self._step_down(request, reason, timing)
-        choice = request.choice or Choice(self.decoders.resolve(request.version))
-        return self._pass_on(request, forecast, choice.stamp, timing)
-
-    def _pass_on(
-        self,
-        request: EngineRequest,
-        forecast: Float32[np.ndarray, "15 20 3"],
-        stamp: VersionStamp,
-        timing: Timing,
-    ) -> EngineResult:
-        """Wrap a forecast of a net; only the base's radius is calibrated."""
-        radius = self.decoders.radius(request.coverage) if stamp.kind == "base" else None
-        flags = () if stamp.fallback is None else ("fallback",)
-        return EngineResult(
-            displacement=forecast,
-            radius=radius,
-            coverage=request.coverage,
-            version=stamp,
-            timing=timing,
-            flags=flags if radius is not None else (*flags, "uncalibrated"),
-        )
-
-    def _step_down(self, request: EngineRequest, reason: Fallback, timing: Timing) -> EngineResult:
-        """Try the base where a personal decoder failed, then what needs no weights."""
-        if request.choice is not None and request.choice.forecaster is not None:
-            forecast = self._forecast(request.window[None], None)[0]
-            if forecast is not None and self._is_possible(forecast):
-                stamp = self.decoders.stamp_base(request.version, fallback=reason)
-                return self._pass_on(request, forecast, stamp, timing)
-        return self._fall_back(request, reason, timing)
-
-    def _fall_back(self, request: EngineRequest, reason: Fallback, timing: Timing) -> EngineResult:
-        """Let the person slow down; where even that is impossible, let them stand still."""
-        kind: VersionKind = "damped_velocity"
-        window = torch.from_numpy(request.window[None])
-        displacement = (self._damped(window).double() - window[:, -1:])[0].float().numpy()
-        if not self._is_possible(displacement):
-            kind, displacement = "zero_velocity", np.zeros_like(displacement)
-        return EngineResult(
-            displacement=displacement,
-            radius=None,
-            coverage=request.coverage,
-            version=VersionStamp(None, kind, None, requested=request.version, fallback=reason),
-            timing=timing,
-            flags=("fallback", "uncalibrated"),
-        )
-
-    def _is_possible(self, displacement: Float32[np.ndarray, "15 20 3"]) -> bool:
-        return is_possible(displacement, rate_hz=self.spec.rate_hz, rules=self._rules)
-
-
-def _group_by_weights(jobs: Sequence[_Job]) -> list[list[_Job]]:
-    """Sort a batch by what shall answer; each group is computed by exactly one version."""
-    groups: dict[int, list[_Job]] = {}
-    for job in jobs:
-        groups.setdefault(id(job.forecaster), []).append(job)
-    return list(groups.values())
+def _to_result(request: EngineRequest, landing: Landing, timing: Timing) -> EngineResult:
+    return EngineResult(
+        displacement=landing.displacement,
+        radius=landing.radius,
+        coverage=request.coverage,
+        version=landing.version,
+        timing=timing,
+        flags=landing.flags,
+    )

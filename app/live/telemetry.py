@@ -33,6 +33,10 @@ class Telemetry:
         self._fallbacks = self._count(
             "kinecast_fallbacks", "Forecasts from other weights than asked for.", "reason"
         )
+        self._trips = self._count(
+            "kinecast_decoder_trips",
+            "Times that a personal decoder kept failing and was passed over.",
+        )
         self._frames = self._count("kinecast_frames", "Frames that streams sent, by fate.", "fate")
         self._errors = self._count("kinecast_errors", "Errors that streams were told.", "code")
         self._closed = self._count(
@@ -55,6 +59,10 @@ class Telemetry:
         self._forecasts.labels(stamp.kind).inc()
         if stamp.fallback is not None:
             self._fallbacks.labels(stamp.fallback).inc()
+
+    def count_trip(self) -> None:
+        """Count a personal decoder out that keeps failing."""
+        self._trips.inc()
 
     def count_batch(self, size: int) -> None:
         """Count one batch of the engine."""

@@ -17,11 +17,14 @@ class Choice:
         stamp: what its answers say of it.
         forecaster: a personal decoder, None for the base.
         reason: why it is in use since lately.
+        previous: what answers where this fails, loaded once that is known to happen; the base is
+            behind every personal version anyway.
     """
 
     stamp: VersionStamp
     forecaster: Forecaster | None = None
     reason: str = ""
+    previous: "Choice | None" = None
 
 
 @dataclass(frozen=True, slots=True)

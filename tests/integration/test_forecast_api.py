@@ -1,6 +1,7 @@
 import asyncio
 import json
 import math
+import threading
 
 import msgspec
 import numpy as np
@@ -8,6 +9,8 @@ import pytest
 import pytest_asyncio
 
 from app.api.arrays import to_wire
+from app.live.decoders import Decoders
+from models.baselines import DampedVelocity
 from models.skeleton import SKELETONS
 from tests.support import BASE_SHA256, Service, make_settings, run_service, watch_person
 
@@ -272,24 +275,30 @@ async def test_many_at_once_get_the_forecast_that_one_gets(service):
         np.testing.assert_allclose(answer["frames"], alone["frames"], atol=1e-4)
 
 
+class Slow:
+    """A base that forecasts, once it is told to, when it is let."""
+
+    def __init__(self):
+        self.waits, self.entered, self.release = (threading.Event() for _ in range(3))
+
+    def __call__(self, window):
+        if self.waits.is_set():
+            self.entered.set()
+            assert self.release.wait(10)
+        return DampedVelocity(15)(window)
+
+
 async def test_overload_is_answered_with_when_to_come_back(tmp_path):
-    async with run_service(make_settings(tmp_path, forecast_queue=1)) as service:
+    base = Slow()
+    decoders = Decoders(base, base_sha256="0" * 64)
+    async with run_service(make_settings(tmp_path, forecast_queue=1), decoders) as service:
         await service.add_user()
         body = {"frames": watch_person().tolist()}
-        decoders = service.app.state.decoders
-        entered, release, quick = asyncio.Event(), asyncio.Event(), decoders.forecast
-        loop = asyncio.get_running_loop()
-
-        def slow(windows, forecaster):
-            loop.call_soon_threadsafe(entered.set)
-            asyncio.run_coroutine_threadsafe(release.wait(), loop).result(10)
-            return quick(windows, forecaster)
-
-        decoders.forecast = slow
+        base.waits.set()
         first = asyncio.create_task(ask(service, **body))
-        await asyncio.wait_for(entered.wait(), 10)
+        await asyncio.to_thread(base.entered.wait, 10)
         refusal = await service.call("POST", PATH, json=body)
-        release.set()
+        base.release.set()
         assert (await first)[0] == 200
     assert (refusal.status_code, refusal.json()["code"]) == (503, "overloaded")
     assert int(refusal.headers["retry-after"]) >= 1
