@@ -2,9 +2,11 @@
 
 import copy
 import hashlib
+from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from app.domain.versions import Verdict, Version
 from app.live.decoders import Decoders
@@ -13,6 +15,7 @@ from app.storage.database import Database
 from models.baselines import Forecaster
 from models.checkpoint import PersonalDecoder, dump_personal
 from models.decoder import Decoder
+from models.familiarity import Familiarity, FamiliarityRule
 from models.predictor import NetConfig, Predictor
 from tests.personal_support import add_trial, claim, enqueue, finish
 
@@ -34,17 +37,43 @@ def make_net() -> Predictor:
     return Predictor(config=SMALL).eval().requires_grad_(requires_grad=False)
 
 
-def make_personal(base: Predictor, seed: int, *, scale: float = 0.02) -> PersonalDecoder:
+def make_personal(
+    base: Predictor,
+    seed: int,
+    *,
+    scale: float = 0.02,
+    familiarity: Familiarity | None = None,
+    **metadata: Any,
+) -> PersonalDecoder:
     """A decoder that a little noise makes somebody's own."""
     decoder: Decoder = copy.deepcopy(base.decoder)
     noise = torch.Generator().manual_seed(seed)
     for weight in decoder.parameters():
         weight.data += scale * torch.randn(weight.shape, generator=noise)
-    return PersonalDecoder(base, decoder, {})
+    return PersonalDecoder(base, decoder, familiarity, metadata)
 
 
 def dump(personal: PersonalDecoder) -> bytes:
-    return dump_personal(personal.decoder, {}, base_sha256=BASE_SHA256)
+    return dump_personal(
+        personal.decoder,
+        personal.metadata,
+        base_sha256=BASE_SHA256,
+        familiarity=personal.familiarity,
+    )
+
+
+def know(
+    base: Predictor, windows: np.ndarray, *, half: float = 0.75, width: float = 0.08
+) -> Familiarity:
+    """A model of the windows that a person was recorded in."""
+    with torch.inference_mode():
+        z = base.encode(centre(windows)).z.clone()
+    return Familiarity.fit(z, FamiliarityRule(half, width))
+
+
+def centre(windows: np.ndarray) -> Tensor:
+    """Windows as the net is given them, the last hip centre at the origin."""
+    return torch.from_numpy((windows - windows[:, -1:, 3:4]).astype(np.float32))
 
 
 def make_net_decoders(base: Predictor) -> Decoders:

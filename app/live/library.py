@@ -9,6 +9,7 @@ import time
 from collections import OrderedDict
 from collections.abc import Collection, Iterable
 from uuid import UUID
+from weakref import WeakValueDictionary
 
 import structlog
 
@@ -42,7 +43,7 @@ class Library:
         self.database, self._decoders = database, decoders
         self._loaded: OrderedDict[str, Forecaster] = OrderedDict()
         self._failed_at: dict[str, float] = {}
-        self._loading = asyncio.Lock()
+        self._loading: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
         self._seen: dict[UUID, tuple[ActiveVersion, Choice]] = {}
 
     def loaded(self) -> frozenset[str]:
@@ -87,13 +88,22 @@ class Library:
         return {user: self._seen[user][1] for user in active}
 
     def _list_changed(self, active: Iterable[tuple[UUID, ActiveVersion]]) -> list[UUID]:
-        """List whose choice has to be made anew: another version, or one that failed before."""
+        """List whose choice has to be made anew: another version, or one that fails."""
         changed = []
         for user, version in active:
             seen = self._seen.get(user)
-            if seen is None or seen[0] != version or seen[1].stamp.fallback is not None:
+            if seen is None or seen[0] != version or self._needs_help(seen[1]):
                 changed.append(user)
         return changed
+
+    def _needs_help(self, choice: Choice) -> bool:
+        """Tell whether weights could not be used, or fail and have nothing at hand behind them."""
+        if choice.stamp.fallback is not None:
+            return True
+        return choice.previous is None and self._keeps_failing(choice.stamp.sha256)
+
+    def _keeps_failing(self, sha256: str | None) -> bool:
+        return sha256 is not None and self._decoders.breaker.is_failing(sha256)
 
     async def _explain(self, user_uuid: UUID) -> str:
         async with self.database.read() as tx:
@@ -107,21 +117,25 @@ class Library:
         try:
             forecaster = await self._load(active.sha256)
         except _UNUSABLE:
-            return await self._step_down(user_uuid)
+            missing = self._decoders.stamp_base("active", fallback="weights_missing")
+            previous = await self._load_previous(user_uuid)
+            return previous or Choice(missing, reason="weights_missing")
         stamp = VersionStamp(active.number, "personal", active.sha256, share=1.0)
-        return Choice(stamp, forecaster, reason)
+        previous = None
+        if self._keeps_failing(active.sha256):
+            previous = await self._load_previous(user_uuid)
+        return Choice(stamp, forecaster, reason, previous)
 
-    async def _step_down(self, user_uuid: UUID) -> Choice:
-        """Give what was active before; the base where that cannot be used either."""
+    async def _load_previous(self, user_uuid: UUID) -> Choice | None:
+        """Give what was active before, None where that is the base or cannot be used either."""
         async with self.database.read() as tx:
             previous = await versions.read_previous(tx, user_uuid)
-        base = self._decoders.stamp_base("active", fallback="weights_missing")
         if previous.sha256 is None:
-            return Choice(base, reason="weights_missing")
+            return None
         try:
             forecaster = await self._load(previous.sha256)
         except _UNUSABLE:
-            return Choice(base, reason="weights_missing")
+            return None
         stamp = VersionStamp(
             previous.number, "personal", previous.sha256, share=1.0, fallback="previous_version"
         )
@@ -146,15 +160,14 @@ class Library:
         Raises:
             UnusableWeightsError, WeightsPurgedError, DamagedWeightsError: it cannot be used.
         """
-        async with self._loading:
+        lock = self._loading.setdefault(sha256, asyncio.Lock())
+        async with lock:  # of these weights: nobody waits for somebody else's
             if sha256 in self._loaded:
                 self._loaded.move_to_end(sha256)
                 return self._loaded[sha256]
             self._refuse_what_failed(sha256)
             try:
-                async with self.database.read() as tx:
-                    blob = await weights.get(tx, sha256)
-                forecaster = await asyncio.to_thread(self._decoders.build, blob)
+                forecaster = await self._fetch(sha256)
             except _UNUSABLE as error:
                 self._failed_at[sha256] = time.monotonic()
                 log.warning("weights cannot be used", sha256=sha256, why=str(error))
@@ -164,6 +177,11 @@ class Library:
             while len(self._loaded) > KEPT:
                 self._loaded.popitem(last=False)
             return forecaster
+
+    async def _fetch(self, sha256: str) -> Forecaster:
+        async with self.database.read() as tx:
+            blob = await weights.get(tx, sha256)
+        return await asyncio.to_thread(self._decoders.build, blob)
 
     def _refuse_what_failed(self, sha256: str) -> None:
         failed_at = self._failed_at.get(sha256)
