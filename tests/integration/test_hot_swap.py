@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from sqlalchemy import update
 
 from app.settings import Settings
@@ -18,7 +19,9 @@ from tests.support import open_database, watch_person
 from tests.versions import (
     BASE_SHA256,
     add_version,
+    centre,
     forecast_offline,
+    know,
     make_net,
     make_net_decoders,
     make_personal,
@@ -232,6 +235,67 @@ async def test_an_erased_person_leaves_no_decoder_behind(server, settings) -> No
     async with asyncio.timeout(2):
         while loaded():  # noqa: ASYNC110 - it waits for another thread
             await asyncio.sleep(0.05)
+
+
+@pytest.mark.asyncio
+async def test_behind_a_decoder_that_keeps_failing_the_version_before_answers(server, settings):
+    wild = make_personal(BASE, 3, scale=1e4)
+    async with open_database(settings) as database:
+        first = await add_version(database, "ada", MINE)
+        async with watching(server) as watcher:
+            await watcher.hear_forecasts(2)
+            second = await add_version(database, "ada", wild)
+            await watcher.hear_version()
+            after = len(watcher.heard)
+
+            def comes_from_the_first(message: dict[str, Any]) -> bool:
+                return message.get("version", {}).get("sha256") == first.sha256
+
+            await watcher.listen(comes_from_the_first)
+            await watcher.hear_forecasts(3)
+    answers = [m for m in watcher.heard[after:] if m["type"] == "forecast"]
+    assert not any(m["type"] in {"version", "error"} for m in watcher.heard[after:])
+    told = [(m["version"]["number"], m["version"]["fallback"]) for m in answers]
+    assert told == sorted(told)  # the base at once, and soon the version before
+    assert set(told) == {(0, "guard"), (1, "previous_version")}
+    assert all("fallback" in m["quality"] and m["severity"] == "degraded" for m in answers)
+    assert answers[-1]["seq"] - answers[0]["seq"] < 60
+    by_the_first = next(m for m in answers if m["version"]["number"] == 1)
+    seq = by_the_first["seq"]
+    np.testing.assert_allclose(
+        by_the_first["frames"], forecast_offline(MINE, PERSON[seq - 14 : seq + 1]), atol=1e-5
+    )
+    assert server.metric("kinecast_decoder_trips_total") == 1
+    answer = await asyncio.to_thread(ask, server)
+    assert (answer["version"]["number"], answer["version"]["fallback"]) == (1, "previous_version")
+    assert (await asyncio.to_thread(ask, server, 2))["code"] == "version_unavailable"
+    assert second.number == 2
+
+
+@pytest.mark.asyncio
+async def test_every_answer_says_how_personal_it_is(server, settings) -> None:
+    windows = np.stack([PERSON[i : i + 15] for i in range(0, 60, 5)])
+    familiarity = know(BASE, windows, half=0.3, width=0.2)
+    personal = make_personal(BASE, 4, familiarity=familiarity)
+    async with open_database(settings) as database:
+        await add_version(database, "ada", personal)
+    shares = []
+    for start in range(0, 160, 20):
+        window = PERSON[start : start + 15]
+        body = {"frames": window.tolist()}
+        answer = await asyncio.to_thread(
+            lambda body=body: server.call("POST", "/v1/users/ada/forecast", json=body).json()
+        )
+        share = answer["version"]["share"]
+        shares.append(share)
+        np.testing.assert_allclose(answer["frames"], forecast_offline(personal, window), atol=1e-5)
+        with torch.inference_mode():
+            expected = float(personal.share(BASE.encode(centre(window[None])).z)[0])
+        assert share == pytest.approx(expected, abs=2e-4)
+        assert answer["version"]["kind"] == "personal"
+        assert ("blended" in answer["quality"]) == (0 < share < 1)
+        assert ("unfamiliar" in answer["quality"]) == (share < 0.5)
+    assert len(set(shares)) > 3
 
 
 @pytest.mark.asyncio
