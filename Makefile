@@ -51,8 +51,10 @@ imports: $(VENV)/.test ## the layers of the code, as contracts
 check-migrations: $(VENV)/.test ## the migrations give exactly the tables of the code
 	$(BIN)/kinecast db check
 
+# One process per core, each with one thread of arithmetic; a file's tests stay together, as they share a service.
+PYTEST_WORKERS ?= 2
 unit: $(VENV)/.test ## all tests with branch coverage (ARGS="-k stream" for some)
-	$(BIN)/pytest --cov --cov-report=term $(ARGS)
+	OMP_NUM_THREADS=1 $(BIN)/pytest --cov --cov-report=term -n $(PYTEST_WORKERS) --dist loadscope $(ARGS)
 
 SHARED ?= ../shared/data
 reproduce: $(VENV)/.test ## train the shipped base again, and kill and resume a shorter run (about 10 min)
