@@ -34,6 +34,7 @@ from app.live.library import Library
 from app.live.registry import Registry
 from app.live.telemetry import Telemetry
 from app.settings import Settings
+from app.storage.announcements import Topic
 from app.storage.bootstrap import load_audit_key
 from app.storage.database import Database
 from app.storage.migrate import check_current
@@ -116,6 +117,7 @@ def _make_registry(library: Library, settings: Settings, telemetry: Telemetry) -
     return Registry(
         partial(watch, library.database),
         follow=library.follow,
+        listen=lambda: library.database.announcements.listen(Topic.STREAMS).wait,
         limits=read_limits(settings),
         telemetry=telemetry,
         watch_s=settings.watch_s,
@@ -169,6 +171,7 @@ async def _live(app: FastAPI) -> AsyncIterator[None]:
         state.engine.start()
         try:
             await _warm_up(state.engine)
+            state.database.announcements.start()
             state.registry.start()
             if state.worker is not None:
                 state.worker.start()

@@ -51,6 +51,11 @@ class Settings(BaseSettings):
     database_timeout_s: Positive = Field(
         5.0, description="Longest wait for a connection or a lock of the database."
     )
+    redis_url: str | None = Field(
+        None,
+        description="Redis as `redis://host:6379/0`, which carries hints between processes; "
+        "without it they look for news as often as they poll.",
+    )
     admin_key: SecretStr | None = Field(
         None,
         description="Bootstrap admin key, at least 32 characters; "
@@ -137,6 +142,12 @@ class Settings(BaseSettings):
     version_unconfirmed_close_s: Positive = Field(
         60.0, description="Without a database for this long, streams are closed."
     )
+    recording_keep_s: Positive = Field(
+        10.0, description="A live recording waits this long for a database that is away."
+    )
+    recording_abandoned_s: Annotated[float, Field(ge=20)] = Field(
+        60.0, description="A recording without a stream for this long is stored without a job."
+    )
 
     # Fine-tuning.
     finetune_threads: Count = Field(1, description="Threads of one fine-tuning run.")
@@ -175,7 +186,9 @@ def make_environment(**settings: object) -> dict[str, str]:
     Args:
         settings: what it is to have, beside the rest of the environment.
     """
-    ours = {f"{PREFIX}DATABASE_URL", f"{PREFIX}ADMIN_KEY", f"{PREFIX}DATA_DIR", f"{PREFIX}PORT"}
+    ours = {
+        f"{PREFIX}{name}" for name in ("DATABASE_URL", "REDIS_URL", "ADMIN_KEY", "DATA_DIR", "PORT")
+    }
     kept = {name: value for name, value in os.environ.items() if name.upper() not in ours}
     return kept | {f"{PREFIX}{name.upper()}": str(value) for name, value in settings.items()}
 

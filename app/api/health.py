@@ -8,7 +8,7 @@ from prometheus_client import CONTENT_TYPE_LATEST
 
 from app.api.dependencies import DatabaseNeeded
 from app.api.openapi import needs, problems
-from app.api.schemas import HealthOut
+from app.api.schemas import HealthOut, ReadyOut
 from app.domain import errors
 from app.domain.errors import DrainingError, NotReadyError
 
@@ -29,7 +29,7 @@ async def check_alive() -> HealthOut:
     openapi_extra=OPEN,
     responses=problems(errors.NotReadyError, errors.DrainingError),
 )
-async def check_ready(request: Request, database: DatabaseNeeded) -> HealthOut:
+async def check_ready(request: Request, database: DatabaseNeeded) -> ReadyOut:
     """Tell whether the model is warm, the database reachable, and the replica here to stay."""
     if request.app.state.draining:
         raise DrainingError
@@ -40,7 +40,7 @@ async def check_ready(request: Request, database: DatabaseNeeded) -> HealthOut:
             await database.ping()
     except TimeoutError:
         raise NotReadyError("The database does not answer.") from None
-    return HealthOut(status="ready")
+    return ReadyOut(status="ready", hints=database.announcements.state)
 
 
 @router.get(

@@ -1,6 +1,5 @@
 """Fine-tuning jobs: asked for, listed, watched, called off."""
 
-import asyncio
 from collections.abc import AsyncIterator
 from typing import Annotated
 from uuid import UUID
@@ -26,6 +25,7 @@ from app.domain.events import Action
 from app.domain.jobs import JobState
 from app.personalize.record import request_finetuning
 from app.storage import audit, jobs
+from app.storage.announcements import Topic
 from app.storage.database import Database
 from app.storage.leases import read_clock
 
@@ -143,14 +143,14 @@ async def _get(database: Database, job: UUID) -> JobOut:
 async def _tell(database: Database, job: JobOut, request: Request) -> AsyncIterator[str]:
     """Write an event for each change, and a comment now and then so that nobody hangs up."""
     told: JobOut | None = None
-    silent_s = 0.0
+    silent_s, ear = 0.0, database.announcements.listen(Topic.PROGRESS)
     while True:
         if job != told:
             yield f"event: job\ndata: {job.model_dump_json()}\n\n"
             told, silent_s = job, 0.0
         if job.state.is_final or request.app.state.draining:
             return
-        await asyncio.sleep(LOOK_EVERY_S)
+        await ear.wait(LOOK_EVERY_S)
         silent_s += LOOK_EVERY_S
         if silent_s >= KEEP_ALIVE_S:
             yield ": still there\n\n"

@@ -231,6 +231,14 @@ class HealthOut(AnswerModel):
     status: Literal["alive", "ready"]
 
 
+class ReadyOut(HealthOut):
+    """Ready to forecast. Hints only make news travel faster: without them, processes poll."""
+
+    hints: Literal["off", "on", "away"] = Field(
+        description="Hints from other processes through Redis; `off` where none is configured."
+    )
+
+
 class ClipOut(AnswerModel):
     """One clip of a trial."""
 

@@ -48,6 +48,7 @@ async def _run(settings: Settings, *, once: bool, tied: bool) -> None:
         await check_current(database)
         rules = make_rules(settings, owner=owner)
         await store_base(database, rules)
+        database.announcements.start()
         worker = Worker(database, rules, stop)
         if once:
             await worker.run_pending()

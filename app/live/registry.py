@@ -28,6 +28,8 @@ Watch = Callable[[Sequence[OpenStream]], Awaitable[Mapping[OpenStream, Verdict]]
 """Asks the database which streams must close; raises NotReadyError where it cannot tell."""
 Follow = Callable[[Collection[UUID]], Awaitable[Mapping[UUID, Choice]]]
 """Gives what is active for users, loaded; raises NotReadyError where it cannot tell."""
+Pause = Callable[[float], Awaitable[None]]
+"""Waits this many seconds, or less where there may be news."""
 
 TICK_S = 1.0
 _REASONS: dict[Verdict, type[KinecastError]] = {
@@ -71,6 +73,7 @@ class Registry:
         limits: how many streams a key and a user may have.
         telemetry: where to count.
         follow: tells what is active; None where everybody has the base.
+        listen: gives a way to wait between two looks.
         watch_s: how often to ask.
         unconfirmed_s: without an answer for this long, forecasts are flagged.
         close_s: without an answer for this long, streams are closed: what they serve may have
@@ -84,11 +87,12 @@ class Registry:
         limits: Limits,
         telemetry: Telemetry,
         follow: Follow | None = None,
+        listen: Callable[[], Pause] = lambda: asyncio.sleep,
         watch_s: float = 1.0,
         unconfirmed_s: float = 10.0,
         close_s: float = 60.0,
     ) -> None:
-        self._follow = follow
+        self._follow, self._listen = follow, listen
         self._watch, self._limits, self._telemetry = watch, limits, telemetry
         self._watch_s, self._unconfirmed_s, self._close_s = watch_s, unconfirmed_s, close_s
         self._streams: dict[OpenStream, LiveStream] = {}
@@ -233,11 +237,13 @@ class Registry:
                 stream.tick(time.monotonic())
 
     async def _watch_for_ever(self) -> None:
+        pause = self._listen()
         while True:
-            await asyncio.sleep(self._watch_s)
+            await pause(self._watch_s)
             await self.check(time.monotonic())
 
     async def _follow_for_ever(self) -> None:
+        pause = self._listen()
         while True:
-            await asyncio.sleep(self._watch_s)
+            await pause(self._watch_s)
             await self.follow()

@@ -24,6 +24,7 @@ from sqlalchemy.ext.asyncio import AsyncEngine, AsyncSession, create_async_engin
 
 from app.domain.errors import NotReadyError, StartError
 from app.settings import Settings
+from app.storage.announcements import Announcements, read_announced
 
 SQLITE_FILE = "kinecast.sqlite3"
 _WRITE = "kinecast_write"
@@ -61,10 +62,20 @@ class Database:
         url: where it is, as ``find_database`` gives it.
         pool: most open connections.
         timeout_s: longest wait for a connection or for another writer.
+        announcements: told what a transaction announced once it is stored; by default it stays
+            in this process.
     """
 
-    def __init__(self, url: URL, *, pool: int = 5, timeout_s: float = 5.0) -> None:
+    def __init__(
+        self,
+        url: URL,
+        *,
+        pool: int = 5,
+        timeout_s: float = 5.0,
+        announcements: Announcements | None = None,
+    ) -> None:
         self.url = url
+        self.announcements = announcements or Announcements()
         self.is_sqlite = url.get_backend_name() == "sqlite"
         options: dict[str, Any] = {"pool_size": pool, "max_overflow": 0, "pool_timeout": timeout_s}
         if self.is_sqlite:
@@ -84,6 +95,7 @@ class Database:
             find_database(settings),
             pool=settings.database_pool,
             timeout_s=settings.database_timeout_s,
+            announcements=Announcements(settings.redis_url),
         )
 
     @asynccontextmanager
@@ -109,6 +121,7 @@ class Database:
             session.begin(),
         ):
             yield session
+        self.announcements.tell(read_announced(session))
 
     @asynccontextmanager
     async def lock(self, name: str) -> AsyncIterator[AsyncSession]:
@@ -142,6 +155,7 @@ class Database:
 
     async def close(self) -> None:
         """Close every connection."""
+        await self.announcements.close()
         await self._engine.dispose()
 
     def _make_folder(self) -> None:

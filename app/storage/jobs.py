@@ -15,6 +15,7 @@ from app.domain.events import Action
 from app.domain.jobs import Job, JobReason, JobState
 from app.domain.pagination import Cursor, Page
 from app.storage import audit
+from app.storage.announcements import Topic, announce
 from app.storage.dialects import upsert
 from app.storage.paging import page_query
 from app.storage.tables import JobRow, UserRow
@@ -48,6 +49,7 @@ async def enqueue(
         change={"state": JobState.QUEUED},
         returning="id",
     )
+    announce(tx, Topic.JOBS)
     return job_id
 
 
@@ -73,6 +75,7 @@ async def enqueue_explicit(
     )
     tx.add(row)
     await tx.flush()
+    announce(tx, Topic.JOBS)
     return row.id
 
 
@@ -154,6 +157,7 @@ async def cancel(tx: AsyncSession, job_id: UUID, *, actor: UUID | None, now: dat
     if changed is not None:
         audit.record(tx, Action.JOB_CANCELLED, actor=actor, user_uuid=changed)
         await tx.flush()
+        announce(tx, Topic.JOBS, Topic.PROGRESS)
     return await get(tx, job_id)
 
 

@@ -21,6 +21,7 @@ from app.domain.errors import NotReadyError, UnauthorizedError, UnknownKeyError
 from app.domain.events import Action
 from app.domain.pagination import Cursor, Page
 from app.storage import audit
+from app.storage.announcements import Topic, announce
 from app.storage.database import Database
 from app.storage.paging import page_query
 from app.storage.tables import KeyRow, UserRow, utc_now
@@ -90,6 +91,7 @@ async def revoke(tx: AsyncSession, key_id: UUID, *, actor: UUID | None) -> None:
         return
     row.revoked_at = utc_now()
     audit.record(tx, Action.KEY_REVOKED, actor=actor, user_uuid=row.user_uuid, key_id=key_id)
+    announce(tx, Topic.STREAMS)
 
 
 async def authenticate(database: Database, text: str) -> ApiKey:

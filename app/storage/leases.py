@@ -16,6 +16,7 @@ from sqlalchemy.orm import aliased
 
 from app.domain.jobs import MAX_ATTEMPTS, Claim, JobReason, JobState, retry_after
 from app.storage import trials
+from app.storage.announcements import Topic, announce
 from app.storage.tables import JobRow, TrialRow, UserRow, utc_now
 
 
@@ -71,6 +72,7 @@ async def claim(tx: AsyncSession, *, owner: str, lease: timedelta, now: datetime
     chosen = await _choose_trials(tx, row)
     row.trials = [str(trial) for trial in chosen]
     await tx.flush()
+    announce(tx, Topic.PROGRESS)
     return Claim(
         job_id=row.id,
         user_uuid=row.user_uuid,
@@ -101,6 +103,7 @@ async def renew(
     values: dict[str, Any] = {"lease_until": now + lease}
     if progress is not None:
         values["progress"] = progress
+        announce(tx, Topic.PROGRESS)
     cancelling = await tx.scalar(
         update(JobRow)
         .where(*_guard(held))
@@ -185,6 +188,8 @@ async def _change(tx: AsyncSession, held: Claim, **values: Any) -> bool:  # noqa
         .returning(JobRow.id)
         .execution_options(synchronize_session=False)
     )
+    if changed is not None:
+        announce(tx, Topic.JOBS, Topic.PROGRESS)  # its user's next job may be claimed now
     return changed is not None
 
 

@@ -13,6 +13,7 @@ from sqlalchemy.ext.asyncio import AsyncSession
 
 from app.domain.errors import ForbiddenError, UserDeletedError
 from app.domain.streams import OpenStream, Verdict
+from app.storage.announcements import Topic, announce
 from app.storage.database import Database
 from app.storage.tables import KeyRow, SessionRow, UserRow, utc_now
 
@@ -38,6 +39,7 @@ async def open_session(
             await _take_from_revoked(tx, row, key_id)
         row.epoch += 1
         row.opened_at = utc_now()
+        announce(tx, Topic.STREAMS)  # of the stream that is fenced by this
         return row.epoch
 
 

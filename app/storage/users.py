@@ -14,6 +14,7 @@ from app.domain.events import Action
 from app.domain.pagination import Cursor, Page
 from app.domain.users import USER_ID_PATTERN, UpAxis, User, pseudonym
 from app.storage import audit, weights
+from app.storage.announcements import Topic, announce
 from app.storage.paging import page_query
 from app.storage.tables import UserRow
 
@@ -126,6 +127,7 @@ async def erase(tx: AsyncSession, user_id: str, *, actor: UUID | None, audit_key
     await weights.drop_unused(tx)
     subject = pseudonym(user_id, key=audit_key)
     audit.record(tx, Action.USER_DELETED, actor=actor, subject=subject)
+    announce(tx, Topic.STREAMS)
 
 
 def _require_possible(user_id: str) -> None:

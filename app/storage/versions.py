@@ -33,6 +33,7 @@ from app.domain.versions import (
     list_purgeable,
 )
 from app.storage import audit, weights
+from app.storage.announcements import Topic, announce
 from app.storage.paging import page_query
 from app.storage.tables import ActivationRow, UserRow, VersionRow, utc_now
 
@@ -198,6 +199,7 @@ async def activate(
         target.state, target.activated_at = VersionState.ACTIVE, utc_now()
     tx.add(ActivationRow(user_uuid=user_uuid, number=number, kind=kind, actor=actor))
     await tx.flush()
+    announce(tx, Topic.STREAMS)
 
 
 async def promote(

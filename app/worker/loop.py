@@ -19,6 +19,7 @@ from app.domain.jobs import Claim, JobReason, JobState
 from app.personalize.promote import prepare_task, store_outcome
 from app.personalize.run import Outcome, Task
 from app.storage import leases
+from app.storage.announcements import Topic
 from app.storage.database import Database
 from app.storage.leases import Hold
 from app.storage.results import FencedJobError
@@ -69,6 +70,7 @@ class Worker:
     def __init__(self, database: Database, rules: WorkerRules, stop: asyncio.Event) -> None:
         self._database, self._rules, self._stop = database, rules, stop
         self._lease = timedelta(seconds=rules.lease_s)
+        self._ear = database.announcements.listen(Topic.JOBS)
 
     async def run(self) -> None:
         """Work until stopped."""
@@ -76,7 +78,7 @@ class Worker:
         while not self._stop.is_set():
             held = await self._claim()
             if held is None:
-                await self._pause(self._rules.poll_s)
+                await self._wait_for_jobs()
                 continue
             await self._work(held)
         log.info("worker stopped", owner=self._rules.owner)
@@ -236,6 +238,16 @@ class Worker:
                 if self._stop.is_set():
                     return None
                 await self._pause(self._rules.poll_s)
+
+    async def _wait_for_jobs(self) -> None:
+        """Wait until it is time to look, a hint says that there may be a job, or it is over."""
+        hint = asyncio.create_task(self._ear.wait(self._rules.poll_s))
+        over = asyncio.create_task(self._stop.wait())
+        await asyncio.wait({hint, over}, return_when=asyncio.FIRST_COMPLETED)
+        for task in (hint, over):
+            task.cancel()
+            with suppress(asyncio.CancelledError):
+                await task
 
     async def _pause(self, seconds: float) -> None:
         with suppress(TimeoutError):

@@ -13,6 +13,14 @@ async def test_fresh_service_is_alive_and_ready(service):
         assert (await service.call("GET", path, key=None)).status_code == 200
 
 
+async def test_readiness_tells_how_hints_fare_and_does_not_depend_on_them(tmp_path, service):
+    assert (await service.call("GET", "/readyz", key=None)).json()["hints"] == "off"
+    lonely = make_settings(tmp_path / "lonely", redis_url="redis://127.0.0.1:1/0")
+    async with run_service(lonely) as other:
+        answer = await other.call("GET", "/readyz", key=None)
+    assert (answer.status_code, answer.json()["hints"]) == (200, "away")
+
+
 async def test_draining_service_is_alive_but_not_ready(service):
     await drain(service.app)
     assert (await service.call("GET", "/healthz", key=None)).status_code == 200
