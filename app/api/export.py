@@ -5,10 +5,11 @@ import json
 import tempfile
 import zipfile
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import IO, Any
 
 import numpy as np
+import structlog
 from fastapi import APIRouter
 from fastapi.responses import StreamingResponse
 from starlette.concurrency import run_in_threadpool
@@ -17,9 +18,11 @@ from app.api.dependencies import Admin, DatabaseNeeded, UserId
 from app.api.openapi import DENIED, needs, problems
 from app.domain import errors
 from app.domain.access import Scope
+from app.domain.errors import WeightsDamagedError, WeightsPurgedError
 from app.domain.events import Action
-from app.domain.recordings import unpack_frames
+from app.domain.recordings import DamagedChunkError, unpack_frames
 from app.domain.users import User
+from app.domain.versions import Version
 from app.storage import audit, jobs, trials, users, versions, weights
 from app.storage.database import Database
 from app.storage.trials import StoredClip
@@ -28,6 +31,8 @@ router = APIRouter(tags=["users"])
 IN_MEMORY = 8 * 2**20
 CHUNK = 2**18
 ZIP_TYPE = "application/zip"
+
+log = structlog.get_logger(__name__)
 
 
 @router.get(
@@ -59,28 +64,86 @@ def show_plainly(user: User) -> dict[str, object]:
     return {name: value for name, value in asdict(user).items() if name != "uuid"}
 
 
+@dataclass(frozen=True, slots=True)
+class _Missing:
+    """A file that should be in the archive and cannot be."""
+
+    file: str
+    reason: str
+
+
+class _Archive:
+    """A zip that keeps a list of what is in it, and of what should be."""
+
+    def __init__(self, zipped: zipfile.ZipFile) -> None:
+        self._zip = zipped
+        self._missing: list[_Missing] = []
+
+    def add(self, name: str, content: bytes | str) -> None:
+        """Add a file."""
+        self._zip.writestr(name, content)
+
+    def add_json(self, name: str, content: object) -> None:
+        """Add a table."""
+        self.add(name, json.dumps(content, default=str, indent=2))
+
+    def miss(self, name: str, reason: str) -> None:
+        """Take note of a file that cannot be read."""
+        self._missing.append(_Missing(name, reason))
+
+    def close(self) -> None:
+        """Add the lists themselves."""
+        missing = [asdict(one) for one in self._missing]
+        self.add_json("manifest.json", {"files": self._zip.namelist(), "missing": missing})
+
+
 async def _write(database: Database, user: User, file: IO[bytes]) -> None:
     """Write the archive from one view of the database, one trial in memory at a time."""
-    async with database.read() as tx:
-        tables: dict[str, Any] = {
-            "user": show_plainly(user),
-            "events": [asdict(event) for event in await audit.list_of_user(tx, user.uuid)],
-            "trials": [asdict(trial) for trial in await trials.list_all(tx, user)],
-            "jobs": [asdict(job) for job in await jobs.list_of_user(tx, user.uuid)],
-            "versions": [asdict(v) for v in await versions.list_all(tx, user.uuid)],
-            "activations": [asdict(line) for line in await versions.list_history(tx, user.uuid)],
-        }
-        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as zipped:
+        archive = _Archive(zipped)
+        async with database.read() as tx:
+            stored = await trials.list_all(tx, user)
+            made = await versions.list_all(tx, user.uuid)
+            tables: dict[str, Any] = {
+                "user": show_plainly(user),
+                "events": [asdict(event) for event in await audit.list_of_user(tx, user.uuid)],
+                "trials": [asdict(trial) for trial in stored],
+                "jobs": [asdict(job) for job in await jobs.list_of_user(tx, user.uuid)],
+                "versions": [asdict(version) for version in made],
+                "activations": [asdict(one) for one in await versions.list_history(tx, user.uuid)],
+            }
             for name, content in tables.items():
-                archive.writestr(f"{name}.json", json.dumps(content, default=str, indent=2))
-            for trial in tables["trials"]:
-                for clip in await trials.read_clips(tx, trial["id"]):
-                    path = f"trials/{clip.trial_id}/clip-{clip.info.ordinal:03}.npz"
-                    archive.writestr(path, await run_in_threadpool(_write_clip, clip))
-            for version in tables["versions"]:
-                if not version["purged"]:
-                    blob = await weights.get(tx, version["sha256"])
-                    archive.writestr(f"versions/{version['number']}.safetensors", blob)
+                archive.add_json(f"{name}.json", content)
+            for trial in stored:
+                for clip in await trials.read_clips(tx, trial.id):
+                    await _add_clip(clip, archive)
+            for version in made:
+                path = f"versions/{version.number}.safetensors"
+                try:
+                    archive.add(path, await weights.get(tx, _name_weights(version)))
+                except (WeightsPurgedError, WeightsDamagedError) as error:
+                    archive.miss(path, error.code)
+        archive.close()
+
+
+def _name_weights(version: Version) -> str:
+    """Tell what the weights of a version are called.
+
+    Raises:
+        WeightsPurgedError: it has none any more.
+    """
+    if version.purged:
+        raise WeightsPurgedError
+    return version.sha256
+
+
+async def _add_clip(clip: StoredClip, archive: _Archive) -> None:
+    path = f"trials/{clip.trial_id}/clip-{clip.info.ordinal:03}.npz"
+    try:
+        archive.add(path, await run_in_threadpool(_write_clip, clip))
+    except DamagedChunkError as error:
+        log.warning("a stored clip is damaged", file=path, why=str(error))
+        archive.miss(path, "damaged")
 
 
 def _write_clip(clip: StoredClip) -> bytes:

@@ -2,7 +2,6 @@
 
 from typing import Annotated
 
-import structlog
 from fastapi import APIRouter, Path, Request, Response
 
 from app.api.dependencies import (
@@ -19,18 +18,15 @@ from app.api.openapi import DENIED, needs, problems
 from app.api.schemas import ActivationIn, PageOut, VersionDetailOut, VersionOut
 from app.domain import errors
 from app.domain.access import Scope
-from app.domain.errors import InternalError, InvalidError
+from app.domain.errors import InvalidError
 from app.domain.motion import VersionStamp
 from app.domain.versions import BASE_NUMBER, ActiveVersion, Version
 from app.storage import versions, weights
-from app.storage.weights import DamagedWeightsError
 
 router = APIRouter(tags=["versions"])
 PREDICT, ADMIN_ONLY = needs(Scope.PREDICT), needs(Scope.ADMIN)
 Number = Annotated[int, Path(ge=0, le=2**31 - 1, description="Of the version; 0 is the base.")]
 WEIGHTS_TYPE = "application/octet-stream"
-
-log = structlog.get_logger(__name__)
 
 
 @router.get(
@@ -80,7 +76,13 @@ async def get_version(
             "description": "A safetensors file; its sha256 is the ETag.",
         },
         304: {"description": "You have it already."},
-        **problems(*DENIED, errors.UnknownVersionError, errors.WeightsPurgedError, InvalidError),
+        **problems(
+            *DENIED,
+            errors.UnknownVersionError,
+            errors.WeightsPurgedError,
+            errors.WeightsDamagedError,
+            InvalidError,
+        ),
     },
 )
 async def get_weights(
@@ -92,16 +94,21 @@ async def get_weights(
         if number == BASE_NUMBER:
             sha256: str = request.app.state.base_sha256
         else:
-            sha256 = (await versions.get(tx, user.uuid, number)).sha256
+            version = await versions.get(tx, user.uuid, number)
+            sha256 = version.sha256
+            if version.purged:
+                raise errors.WeightsPurgedError(f"The weights of version {number} were removed.")
         headers = {"ETag": f'"{sha256}"'}
-        if request.headers.get("if-none-match", "").strip() in {f'"{sha256}"', "*"}:
+        if _has_already(request, sha256):
             return Response(status_code=304, headers=headers)
-        try:
-            blob = await weights.get(tx, sha256)
-        except DamagedWeightsError:
-            log.exception("stored weights are damaged", sha256=sha256)
-            raise InternalError("These weights are damaged.") from None
+        blob = await weights.get(tx, sha256)
     return Response(blob, media_type=WEIGHTS_TYPE, headers=headers)
+
+
+def _has_already(request: Request, sha256: str) -> bool:
+    """Tell whether the caller names these weights in `If-None-Match`."""
+    given = request.headers.get("if-none-match", "").split(",")
+    return not {f'"{sha256}"', "*"}.isdisjoint(tag.strip().removeprefix("W/") for tag in given)
 
 
 @router.post(

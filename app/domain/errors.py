@@ -51,7 +51,8 @@ code an error gets is decided in one table, ``app.api.errors``.
     │   └── IdleError                 idle
     ├── GoneError                     gone
     │   ├── UserDeletedError          user_deleted
-    │   └── WeightsPurgedError        weights_purged       the figures are kept, the weights not
+    │   ├── WeightsPurgedError        weights_purged       the figures are kept, the weights not
+    │   └── WeightsDamagedError       weights_damaged      they are not what was stored
     ├── UnavailableError              unavailable          try again, here or at another replica
     │   ├── NotReadyError             not_ready
     │   ├── OverloadedError           overloaded
@@ -351,6 +352,10 @@ class UserDeletedError(GoneError, code="user_deleted", title="The user was delet
 
 class WeightsPurgedError(GoneError, code="weights_purged", title="The weights were removed"):
     """Old weights are removed after a while; the figures of the version are kept."""
+
+
+class WeightsDamagedError(GoneError, code="weights_damaged", title="The weights are damaged"):
+    """The stored bytes are not those of their sha256; they are neither used nor handed out."""
 
 
 class UnavailableError(

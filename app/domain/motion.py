@@ -33,7 +33,7 @@ FLAGS: tuple[QualityFlag, ...] = (
     QualityFlag("mirrored", Severity.UNSAFE, "The sides contradict the facing of the person."),
     QualityFlag("upside_down", Severity.UNSAFE, "The head stays below the hips."),
     QualityFlag("root_relative", Severity.INFO, "Positions are relative to the hips."),
-    QualityFlag("unfamiliar", Severity.INFO, "Unlike the recorded trials: the base is used."),
+    QualityFlag("unfamiliar", Severity.INFO, "Unlike the recorded trials: mostly the base."),
     QualityFlag("not_this_person", Severity.DEGRADED, "Bone lengths are somebody else's."),
     QualityFlag("fallback", Severity.DEGRADED, "Other weights than those asked for were used."),
     QualityFlag("blended", Severity.INFO, "A mix of the personal and the base forecast."),

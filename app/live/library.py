@@ -13,7 +13,12 @@ from weakref import WeakValueDictionary
 
 import structlog
 
-from app.domain.errors import UnknownVersionError, VersionUnavailableError, WeightsPurgedError
+from app.domain.errors import (
+    UnknownVersionError,
+    VersionUnavailableError,
+    WeightsDamagedError,
+    WeightsPurgedError,
+)
 from app.domain.motion import RequestedVersion, VersionStamp
 from app.domain.versions import ActiveVersion
 from app.live.decoders import Decoders, UnusableWeightsError
@@ -26,7 +31,7 @@ KEPT = 64
 """Decoders that stay loaded while nobody uses them."""
 RETRY_S = 10.0
 """How long weights that could not be used are not tried again."""
-_UNUSABLE = (UnusableWeightsError, WeightsPurgedError, weights.DamagedWeightsError)
+_UNUSABLE = (UnusableWeightsError, WeightsPurgedError, WeightsDamagedError)
 
 log = structlog.get_logger(__name__)
 
@@ -158,7 +163,7 @@ class Library:
         """Give a decoder, from the database if it is not there yet.
 
         Raises:
-            UnusableWeightsError, WeightsPurgedError, DamagedWeightsError: it cannot be used.
+            UnusableWeightsError, WeightsPurgedError, WeightsDamagedError: it cannot be used.
         """
         lock = self._loading.setdefault(sha256, asyncio.Lock())
         async with lock:  # of these weights: nobody waits for somebody else's

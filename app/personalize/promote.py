@@ -6,12 +6,11 @@ from uuid import UUID
 
 from sqlalchemy.ext.asyncio import AsyncSession
 
-from app.domain.errors import WeightsPurgedError
+from app.domain.errors import WeightsDamagedError, WeightsPurgedError
 from app.domain.jobs import Claim, JobReason
 from app.personalize.run import Outcome, Task, TaskClip
 from app.storage import results, trials, users, versions, weights
 from app.storage.results import Result
-from app.storage.weights import DamagedWeightsError
 
 
 async def prepare_task(tx: AsyncSession, held: Claim, *, base: bytes, threads: int) -> Task:
@@ -41,7 +40,7 @@ async def _read_weights(tx: AsyncSession, sha256: str | None) -> bytes | None:
     """Read the active version; one whose weights are gone or damaged is nothing to compare with."""
     if sha256 is None:
         return None
-    with suppress(WeightsPurgedError, DamagedWeightsError):
+    with suppress(WeightsPurgedError, WeightsDamagedError):
         return await weights.get(tx, sha256)
     return None
 

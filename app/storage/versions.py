@@ -183,6 +183,9 @@ async def activate(
 ) -> None:
     """Let a version answer from now on, 0 for the base. The caller has locked the user.
 
+    One that is active already stays so, without a line in the history: a rollback must lead to
+    another one.
+
     Raises:
         UnknownVersionError: this user never had it.
         WeightsPurgedError: it has no weights any more.
@@ -190,6 +193,9 @@ async def activate(
     target = None if number == BASE_NUMBER else await _find(tx, user_uuid, number)
     if target is not None and target.weights_sha256 is None:
         raise WeightsPurgedError(f"The weights of version {number} were removed.")
+    is_rollback = kind is ActivationKind.ROLLED_BACK
+    if not is_rollback and (await read_active_of(tx, user_uuid)).number == number:
+        return
     await tx.execute(
         update(VersionRow)
         .where(VersionRow.user_uuid == user_uuid, VersionRow.state == VersionState.ACTIVE)

@@ -7,15 +7,11 @@ from typing import Literal
 from sqlalchemy import delete, exists, select
 from sqlalchemy.ext.asyncio import AsyncSession
 
-from app.domain.errors import WeightsPurgedError
+from app.domain.errors import WeightsDamagedError, WeightsPurgedError
 from app.storage.dialects import upsert
 from app.storage.tables import VersionRow, WeightsRow
 
 Kind = Literal["base", "personal"]
-
-
-class DamagedWeightsError(ValueError):
-    """Stored weights whose digest is not their name any more; they must not be used."""
 
 
 async def put(tx: AsyncSession, blob: bytes, *, kind: Kind) -> str:
@@ -45,13 +41,13 @@ async def get(tx: AsyncSession, sha256: str) -> bytes:
 
     Raises:
         WeightsPurgedError: they are not there any more.
-        DamagedWeightsError: they are not what they were.
+        WeightsDamagedError: they are not what they were.
     """
     blob = await tx.scalar(select(WeightsRow.blob).where(WeightsRow.sha256 == sha256))
     if blob is None:
         raise WeightsPurgedError("These weights were removed.")
     if hashlib.sha256(blob).hexdigest() != sha256:
-        raise DamagedWeightsError(f"the weights {sha256} are damaged")
+        raise WeightsDamagedError(f"The weights {sha256} are damaged.")
     return blob
 
 

@@ -275,8 +275,9 @@ async def test_versions_are_listed_downloaded_promoted_and_rolled_back(service):
     path = "/v1/users/ada/versions/1/weights"
     download = await service.call("GET", path)
     assert (download.content, download.headers["etag"]) == (b"one", f'"{shown["sha256"]}"')
-    etag = {"If-None-Match": download.headers["etag"]}
-    assert (await service.call("GET", path, headers=etag)).status_code == 304
+    for etag in (download.headers["etag"], f'"x", W/{download.headers["etag"]}', "*"):
+        cached = await service.call("GET", path, headers={"If-None-Match": etag})
+        assert (cached.status_code, cached.content) == (304, b"")
     rolled = await service.call("POST", "/v1/admin/users/ada/rollback", json={})
     assert (rolled.status_code, rolled.json()["number"]) == (200, 0)
     stale = await service.call(
@@ -303,11 +304,16 @@ async def test_purged_weights_are_gone_and_damaged_ones_are_not_handed_out(servi
     async with service.database.write() as tx:
         await tx.execute(text("UPDATE weights SET blob = :blob"), {"blob": b"two"})
     path = "/v1/users/ada/versions/1/weights"
-    assert (await service.call("GET", path)).status_code == 500
+    damaged = await service.call("GET", path)
+    assert (damaged.status_code, damaged.json()["code"]) == (410, "weights_damaged")
+    assert damaged.headers["content-type"] == "application/problem+json"
     async with service.database.write() as tx:
         await tx.execute(text("UPDATE versions SET weights_sha256 = NULL"))
         await tx.execute(text("DELETE FROM weights"))
-    assert (await service.call("GET", path)).json()["code"] == "weights_purged"
+    sha256 = (await service.call("GET", "/v1/users/ada/versions/1")).json()["sha256"]
+    for headers in ({}, {"If-None-Match": f'"{sha256}"'}):
+        purged = await service.call("GET", path, headers=headers)
+        assert (purged.status_code, purged.json()["code"]) == (410, "weights_purged")
 
 
 async def test_admin_asks_for_fine_tuning_and_calls_it_off(service):
@@ -384,3 +390,40 @@ async def test_export_holds_every_trial_version_and_decision(service):
     assert [version["state"] for version in tables["versions.json"]] == ["retired"]
     assert "version.rolled_back" in {event["action"] for event in tables["events.json"]}
     assert "uuid" not in tables["user.json"]
+
+
+async def test_export_names_what_cannot_be_read_and_holds_the_rest(service):
+    import json
+    import zipfile
+
+    from sqlalchemy import text
+
+    await service.add_user()
+    for number, blob in enumerate((b"one", b"two", b"three")):
+        await make_version(service, blob=blob, parent=number)
+    async with service.database.write() as tx:
+        for statement in (
+            "UPDATE weights SET blob = :rot WHERE blob = :two",
+            "UPDATE versions SET weights_sha256 = NULL WHERE number = 1",
+            "UPDATE chunks SET payload = :rot "
+            "WHERE trial_id = (SELECT trial_id FROM chunks LIMIT 1)",
+        ):
+            given = {"rot": b"x", "two": b"two"}
+            named = {name: value for name, value in given.items() if f":{name}" in statement}
+            await tx.execute(text(statement), named)
+    answer = await service.call("GET", "/v1/users/ada/export")
+    assert answer.status_code == 200
+    with zipfile.ZipFile(io.BytesIO(answer.content)) as archive:
+        names = set(archive.namelist())
+        manifest = json.loads(archive.read("manifest.json"))
+        assert archive.read("versions/3.safetensors") == b"three"
+    assert names == {*manifest["files"], "manifest.json"}
+    missing = {line["file"]: line["reason"] for line in manifest["missing"]}
+    (clip,) = (name for name in missing if name.endswith(".npz"))
+    assert missing == {
+        clip: "damaged",
+        "versions/1.safetensors": "weights_purged",
+        "versions/2.safetensors": "weights_damaged",
+    }
+    assert not names & set(missing)
+    assert len([name for name in names if name.endswith(".npz")]) == 2

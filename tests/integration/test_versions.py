@@ -10,6 +10,7 @@ from app.domain.errors import (
     ActiveChangedError,
     UnknownTrialError,
     UnknownVersionError,
+    WeightsDamagedError,
     WeightsPurgedError,
 )
 from app.domain.jobs import JobReason
@@ -17,7 +18,6 @@ from app.domain.trials import ClipFlaw
 from app.domain.versions import ActiveVersion, Verdict
 from app.storage import trials, users, versions, weights
 from app.storage.tables import ChunkRow, VersionRow, WeightsRow
-from app.storage.weights import DamagedWeightsError
 from tests.personal_support import (
     BASE_SHA256,
     add_trial,
@@ -181,6 +181,21 @@ async def test_decision_on_an_old_view_is_refused(database):
     await promote(database, user, 1, BASE_SHA256)
 
 
+async def test_what_is_active_already_is_not_activated_again(database):
+    user = await start(database)
+    for parent in (0, 1):
+        await make(database, user, parent=parent)
+    await promote(database, user, 2)
+    async with database.read() as tx:
+        assert [line.number for line in await versions.list_history(tx, user.uuid)] == [1, 2]
+        assert (await users.get(tx, "ada")).auto_promote is False
+    assert await roll_back(database, user) == 1  # not to itself
+    for _ in range(2):
+        await promote(database, user, 0)
+    assert await roll_back(database, user) == 1
+    assert await make(database, user, parent=1) is JobReason.AWAITS_PROMOTION
+
+
 async def test_old_weights_are_purged_and_their_figures_stay(database):
     user = await start(database)
     for parent in range(4):
@@ -217,7 +232,7 @@ async def test_damaged_weights_are_noticed(database):
         version = await versions.get(tx, user.uuid, 1)
         await tx.execute(WeightsRow.__table__.update().values(blob=b"two"))
     async with database.read() as tx:
-        with pytest.raises(DamagedWeightsError):
+        with pytest.raises(WeightsDamagedError):
             await weights.get(tx, version.sha256)
 
 
