@@ -167,6 +167,11 @@ class Settings(BaseSettings):
         description="Newest versions of a user whose weights are kept; "
         "the active one and its parent always are.",
     )
+    history_kept_days: Positive = Field(
+        90.0,
+        description="How long jobs that made no version, and session names that nobody uses, "
+        "are remembered.",
+    )
     parse_timeout_s: Positive = Field(
         30.0, description="Longest time to read the files of one upload."
     )
