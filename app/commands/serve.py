@@ -1,6 +1,7 @@
 """`kinecast serve`: the service, from an empty folder to the first forecast."""
 
 import asyncio
+import gc
 import shlex
 import shutil
 import socket
@@ -46,7 +47,7 @@ def _run(settings: Settings, listener: socket.socket, *, with_worker: bool) -> N
     address = _name_address(listener)
     worker = EmbeddedWorker(settings.data_dir) if with_worker else None
     server = make_server(
-        create_app(settings, worker=worker), settings, on_ready=lambda: _greet(address, key)
+        create_app(settings, worker=worker), settings, on_ready=lambda: _get_going(address, key)
     )
     server.run(sockets=[listener])
     if not server.started:
@@ -113,6 +114,17 @@ def _show_key(settings: Settings, made: str | None) -> _Key:
     if path.is_file() and path.stat().st_size:
         return _Key(f"in {path}", f"KINECAST_KEY=$(cat {shlex.quote(str(path))}) ")
     return _Key("shown at the first start", "KINECAST_KEY=kc_... ")
+
+
+def _get_going(address: str, key: _Key) -> None:
+    """Greet, and spare forecasts the long pauses of a collector that looks at everything.
+
+    Nets and libraries stay for as long as the process does; looking through them takes longer than
+    a forecast may.
+    """
+    gc.collect()
+    gc.freeze()
+    _greet(address, key)
 
 
 def _greet(address: str, key: _Key) -> None:
