@@ -1,0 +1,112 @@
+"""Whose weights are loaded, when, and what stands behind them."""
+
+import asyncio
+import threading
+
+import pytest
+
+from app.domain.errors import VersionUnavailableError
+from app.live.breaker import TRIP_AFTER
+from app.live.decoders import Decoders
+from app.live.library import Library
+from app.storage import users
+from models.baselines import Forecaster
+from models.personal import PersonalDecoder
+from tests.personal_support import add_user
+from tests.versions import BASE_SHA256, add_version, dump, make_net, make_personal
+
+pytestmark = pytest.mark.asyncio
+BASE = make_net()
+MINE, OTHER = make_personal(BASE, 1), make_personal(BASE, 2)
+
+
+class SlowDecoders(Decoders):
+    """Builds decoders of certain weights only when it is let, and counts what it builds."""
+
+    def __init__(self, *slow: bytes) -> None:
+        super().__init__(BASE, base_sha256=BASE_SHA256)
+        self.slow, self.built = slow, []
+        self.begun, self.release = threading.Event(), threading.Event()
+
+    def build(self, blob: bytes) -> Forecaster:
+        self.built.append(blob)
+        if blob in self.slow:
+            self.begun.set()
+            assert self.release.wait(10)
+        return super().build(blob)
+
+
+async def start(database, *names: str) -> list:
+    async with database.write() as tx:
+        return [(await add_user(tx, name)).uuid for name in names]
+
+
+async def test_nobody_waits_for_the_weights_of_somebody_else(database) -> None:
+    ada, bob = await start(database, "ada", "bob")
+    await add_version(database, "ada", MINE)
+    await add_version(database, "bob", OTHER)
+    decoders = SlowDecoders(dump(MINE))
+    library = Library(database, decoders)
+    slow = [asyncio.create_task(library.choose(ada, "active")) for _ in range(3)]
+    await asyncio.to_thread(decoders.begun.wait, 10)
+    async with asyncio.timeout(5):
+        assert (await library.choose(bob, "active")).stamp.number == 1
+    assert not any(task.done() for task in slow)
+    decoders.release.set()
+    chosen = await asyncio.gather(*slow)
+    assert len({id(choice.forecaster) for choice in chosen}) == 1
+    assert sorted(decoders.built) == sorted([dump(MINE), dump(OTHER)])
+
+
+async def test_the_version_before_is_at_hand_as_soon_as_the_active_one_keeps_failing(
+    database,
+) -> None:
+    (ada,) = await start(database, "ada")
+    first = await add_version(database, "ada", MINE)
+    second = await add_version(database, "ada", OTHER)
+    library = Library(database, decoders := Decoders(BASE, base_sha256=BASE_SHA256))
+    (healthy,) = (await library.follow([ada])).values()
+    assert healthy.previous is None
+    for _ in range(TRIP_AFTER):
+        assert (await library.choose(ada, "active")).previous is None
+        decoders.breaker.fail(second.sha256, "guard")
+    (followed,) = (await library.follow([ada])).values()
+    for choice in (followed, await library.choose(ada, "active")):
+        assert choice.stamp == healthy.stamp  # streams are told of no change
+        assert choice.previous is not None
+        assert choice.previous.stamp.sha256 == first.sha256
+        assert choice.previous.stamp.fallback == "previous_version"
+        assert isinstance(choice.previous.forecaster, PersonalDecoder)
+    assert (await library.choose(ada, 2)).previous is None
+
+
+async def test_the_first_version_that_fails_has_only_the_base_behind_it(database) -> None:
+    (ada,) = await start(database, "ada")
+    only = await add_version(database, "ada", MINE)
+    library = Library(database, decoders := Decoders(BASE, base_sha256=BASE_SHA256))
+    for _ in range(TRIP_AFTER):
+        decoders.breaker.fail(only.sha256, "guard")
+    (choice,) = (await library.follow([ada])).values()
+    assert (choice.stamp.number, choice.previous) == (1, None)
+
+
+async def test_a_version_of_another_base_is_not_used(database) -> None:
+    (ada,) = await start(database, "ada")
+    await add_version(database, "ada", MINE)
+    library = Library(database, Decoders(BASE, base_sha256="f" * 64))
+    choice = await library.choose(ada, "active")
+    assert (choice.stamp.kind, choice.stamp.fallback) == ("base", "weights_missing")
+    with pytest.raises(VersionUnavailableError):
+        await library.choose(ada, 1)
+
+
+async def test_what_was_erased_is_not_chosen(database) -> None:
+    (ada,) = await start(database, "ada")
+    await add_version(database, "ada", MINE)
+    library = Library(database, Decoders(BASE, base_sha256=BASE_SHA256))
+    await library.choose(ada, "active")
+    async with database.write() as tx:
+        await users.erase(tx, "ada", actor=None, audit_key=b"audit")
+    assert (await library.choose(ada, "active")).stamp.kind == "base"
+    await library.follow([])
+    assert not library.loaded()
