@@ -30,8 +30,10 @@ from app.domain.limits import read_limits
 from app.live.decoders import Decoders
 from app.live.engine import Engine
 from app.live.frames import WindowRules
+from app.live.job_watch import JobWatch, read_from
 from app.live.library import Library
 from app.live.registry import Registry
+from app.live.sweeper import Sweeper
 from app.live.telemetry import Telemetry
 from app.settings import Settings
 from app.storage.announcements import Topic
@@ -103,6 +105,8 @@ def create_app(
     )
     state.library = Library(state.database, state.decoders)
     state.registry = _make_registry(state.library, settings, state.telemetry)
+    state.job_watch = _make_job_watch(state.registry, state.database, settings)
+    state.sweeper = Sweeper(state.database, abandoned_s=settings.recording_abandoned_s)
     state.worker = worker
     state.draining = False
     for part in ROUTES:
@@ -123,6 +127,15 @@ def _make_registry(library: Library, settings: Settings, telemetry: Telemetry) -
         watch_s=settings.watch_s,
         unconfirmed_s=settings.version_unconfirmed_s,
         close_s=settings.version_unconfirmed_close_s,
+    )
+
+
+def _make_job_watch(registry: Registry, database: Database, settings: Settings) -> JobWatch:
+    return JobWatch(
+        read_from(database),
+        registry.list_connections,
+        listen=lambda: database.announcements.listen(Topic.JOBS, Topic.PROGRESS).wait,
+        every_s=settings.watch_s,
     )
 
 
@@ -165,6 +178,7 @@ def _add_middleware(app: FastAPI, settings: Settings) -> None:
 async def _live(app: FastAPI) -> AsyncIterator[None]:
     """Start the parts in order, and stop them the other way round."""
     state = app.state
+    watches = (state.registry, state.job_watch, state.sweeper)
     try:
         await check_current(state.database)
         state.audit_key = load_audit_key(state.settings)
@@ -172,7 +186,8 @@ async def _live(app: FastAPI) -> AsyncIterator[None]:
         try:
             await _warm_up(state.engine)
             state.database.announcements.start()
-            state.registry.start()
+            for one in watches:
+                one.start()
             if state.worker is not None:
                 state.worker.start()
             log.info("started", base_sha256=state.base_sha256)
@@ -180,7 +195,8 @@ async def _live(app: FastAPI) -> AsyncIterator[None]:
         finally:
             if state.worker is not None:
                 await state.worker.stop()
-            await state.registry.stop()
+            for one in watches:
+                await one.stop()
             await asyncio.to_thread(state.engine.stop)
     finally:
         await state.database.close()

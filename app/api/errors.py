@@ -55,6 +55,7 @@ ANSWERS: dict[type[KinecastError], Answer] = {
     errors.UserDeletedError: Answer(410, 4410),
     errors.UnavailableError: Answer(503, 1011),
     errors.OverloadedError: Answer(503, None),
+    errors.TrialUnavailableError: Answer(503, None),
     errors.DrainingError: Answer(503, 1001),
     errors.InternalError: Answer(500, 1011),
 }

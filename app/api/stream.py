@@ -18,6 +18,7 @@ from starlette.datastructures import State
 from starlette.websockets import WebSocket
 
 from app.api.dependencies import authenticate, read_bearer
+from app.api.recording import TrialArchive
 from app.api.sockets import ClientSocket
 from app.domain.access import Principal, Scope
 from app.domain.errors import (
@@ -117,9 +118,12 @@ async def _serve(websocket: WebSocket, socket: ClientSocket, user_id: str, codec
             may_record = caller.has(Scope.RECORD)
             session = _make_session(state, user, opened, query, active, may_record=may_record)
             if pinned is not None:
-                session.pin(pinned)
+                session.weights.pin(pinned)
             fetch = partial(state.library.choose, user.uuid)
-            connection = Connection(socket, codec, session, state.engine, opened, fetch=fetch)
+            archive = TrialArchive(state.database, user, opened)
+            connection = Connection(
+                socket, codec, session, state.engine, opened, archive=archive, fetch=fetch
+            )
             with state.registry.keep(connection):
                 await connection.run()
         finally:
@@ -174,6 +178,7 @@ def _make_session(
         telemetry=state.telemetry,
         rules=state.window_rules,
         active=active,
+        keep_s=state.settings.recording_keep_s,
         now=time.monotonic(),
     )
 

@@ -1,7 +1,6 @@
 """Everything that can go wrong on purpose, in one tree, each with a stable code.
 
-A code never changes once released; clients branch on it. Which HTTP status or WebSocket close
-code an error gets is decided in one table, ``app.api.errors``.
+A code never changes once released: clients branch on it. ``app.api.errors`` has the status of each.
 
     KinecastError
     ├── DeniedError
@@ -16,13 +15,13 @@ code an error gets is decided in one table, ``app.api.errors``.
     ├── ConflictError                 conflict
     │   ├── UserExistsError           user_exists
     │   ├── VersionUnavailableError   version_unavailable  a pinned version that cannot be used now
-    │   ├── TrialUnavailableError     trial_unavailable    this server records nothing
     │   ├── TrialConflictError        trial_conflict       the trial is not in a state for that
     │   ├── JobQueuedError            job_queued           a job with other trials waits already
     │   ├── ActiveChangedError        active_changed       another version is active than expected
     │   └── FencedError               fenced               a newer stream took its session over
     ├── InvalidError                  invalid_request      with the list of what is wrong where
     │   ├── LimitExceededError        limit_exceeded       with the name of the limit
+    │   │   └── TrialLimitError       trial_limit          a recording got too long
     │   ├── UnknownFieldError         unknown_field
     │   ├── BadConfigureError         bad_configure
     │   ├── KeyReusedError            idempotency_key_reused
@@ -56,6 +55,7 @@ code an error gets is decided in one table, ``app.api.errors``.
     ├── UnavailableError              unavailable          try again, here or at another replica
     │   ├── NotReadyError             not_ready
     │   ├── OverloadedError           overloaded
+    │   ├── TrialUnavailableError     trial_unavailable    nothing can be stored at the moment
     │   └── DrainingError             draining
     ├── InternalError                 internal_error       a defect; never says more than that
     └── StartError                    cannot_start         only on the command line
@@ -148,12 +148,6 @@ class VersionUnavailableError(
     """A pinned version cannot be used; it is never replaced silently."""
 
 
-class TrialUnavailableError(
-    ConflictError, code="trial_unavailable", title="Recording is not enabled on this server"
-):
-    """A recording was asked for where none can be made."""
-
-
 class TrialConflictError(
     ConflictError, code="trial_conflict", title="The trial is not in a state for that"
 ):
@@ -198,6 +192,10 @@ class LimitExceededError(InvalidError, code="limit_exceeded", title="A limit is 
     ) -> None:
         super().__init__(message, errors=errors)
         self.limit = limit
+
+
+class TrialLimitError(LimitExceededError, code="trial_limit", title="The recording is too long"):
+    """A clip of a recording has ended at a limit of ``hello.limits``; what is stored stays."""
 
 
 class UnknownFieldError(InvalidError, code="unknown_field", title="Unknown field"):
@@ -378,6 +376,10 @@ class NotReadyError(UnavailableError, code="not_ready", title="The service is no
 
 class OverloadedError(UnavailableError, code="overloaded", title="The service is overloaded"):
     """More work than this replica can do in time."""
+
+
+class TrialUnavailableError(UnavailableError, code="trial_unavailable", title="Nothing is stored"):
+    """The database is away: a recording waits in memory, until its oldest frames are lost."""
 
 
 class DrainingError(UnavailableError, code="draining", title="This replica is shutting down"):

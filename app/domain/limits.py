@@ -47,5 +47,5 @@ def read_limits(settings: Settings) -> Limits:
     )
 
 
-FEATURES: tuple[str, ...] = ("forecast", "stream", "msgpack", "trials", "finetune")
+FEATURES: tuple[str, ...] = ("forecast", "stream", "msgpack", "trials", "finetune", "recording")
 """What this server can do; the list grows, and clients ignore what they do not know."""

@@ -2,7 +2,10 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
 from uuid import UUID
+
+from app.domain.jobs import JobState
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,3 +31,22 @@ class Verdict(StrEnum):
     USER_DELETED = "user_deleted"
     KEY_REVOKED = "key_revoked"
     FENCED = "fenced"
+
+
+@dataclass(frozen=True, slots=True)
+class JobNews:
+    """How a fine-tuning job stands, as its user's streams are told.
+
+    Attributes:
+        id: which job.
+        user_uuid: whose.
+        state: where it stands.
+        progress: the newest of what the training tells, None before.
+        metrics: the figures of the version that it made, None where there is none.
+    """
+
+    id: UUID
+    user_uuid: UUID
+    state: JobState
+    progress: dict[str, Any] | None
+    metrics: dict[str, Any] | None

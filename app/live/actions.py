@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from app.domain.errors import KinecastError
 from app.live.protocol import Bye, ErrorMessage, ServerMessage
+from app.live.steps import Step
 from app.live.window import WindowReady
 from app.live.work import EngineRequest
 from models.skeleton import Skeleton
@@ -71,7 +72,14 @@ class End:
     error: KinecastError
 
 
-Action = Send | Submit | End
+@dataclass(frozen=True, slots=True)
+class Store:
+    """Carry out a step of a recording, beside everything else; tell the session what came of it."""
+
+    step: Step
+
+
+Action = Send | Submit | Store | End
 
 
 def describe(error: KinecastError, seq: int | None = None) -> ErrorMessage:

@@ -6,21 +6,26 @@ from collections.abc import Awaitable, Callable, Iterable
 from typing import Protocol, runtime_checkable
 
 import structlog
+from msgspec import UNSET
 
 from app.domain.errors import DrainingError, KinecastError, NotReadyError, VersionUnavailableError
-from app.domain.streams import OpenStream
-from app.live.actions import Action, Send, Submit, Ticket, describe
+from app.domain.streams import JobNews, OpenStream
+from app.live.actions import Action, Send, Store, Submit, Ticket, describe
 from app.live.codec import Codec
 from app.live.engine import Engine
 from app.live.outbox import Outbox
-from app.live.protocol import Configure, ServerMessage
+from app.live.protocol import Configure, JobMessage, ServerMessage
+from app.live.scribe import Scribe
 from app.live.session import Session
+from app.live.steps import Archive, Outcome
 from app.live.work import Choice, EngineResult
 
 STALL_S = 5.0
 """A client that takes nothing for this long is given up."""
 LEAVE_S = 2.0
 """Longest wait for the last messages to leave."""
+SETTLE_S = 4.0
+"""Longest wait for the last frames of a recording to be stored."""
 
 Fetch = Callable[[int], Awaitable[Choice]]
 """Loads a pinned version of the user; raises VersionUnavailableError where it cannot be used."""
@@ -66,6 +71,7 @@ class Connection:
         session: what it does with messages.
         engine: where forecasts are made.
         stream: what the database knows it by.
+        archive: carries out the steps of a recording.
         fetch: loads pinned versions, None where there are none.
     """
 
@@ -77,6 +83,7 @@ class Connection:
         engine: Engine,
         stream: OpenStream,
         *,
+        archive: Archive,
         fetch: Fetch | None = None,
     ) -> None:
         self._fetch = fetch
@@ -85,24 +92,29 @@ class Connection:
         self._socket, self._codec, self._session = socket, codec, session
         self._slot = engine.open_slot()
         self._outbox = Outbox()
+        self._scribe = Scribe(archive, self._note)
         self._loop = asyncio.get_running_loop()
         self._sending_since: float | None = None
         self._writer: asyncio.Task[None] | None = None
 
     async def run(self) -> None:
-        """Serve the client until one side ends it."""
+        """Serve the client until one side ends it; then store what was recorded."""
         self._outbox.put(self._session.hello())
         self._writer = asyncio.create_task(self._write())
         reader = asyncio.create_task(self._read())
+        scribe = asyncio.create_task(self._scribe.run())
+        tasks = (self._writer, reader, scribe)
         try:
-            await asyncio.wait({self._writer, reader}, return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             if self._outbox.ending is not None and not self._writer.done():
                 await asyncio.wait({self._writer}, timeout=LEAVE_S)
         finally:
             self._slot.close()
-            for task in (self._writer, reader):
-                task.cancel()
-            outcomes = await asyncio.gather(self._writer, reader, return_exceptions=True)
+            self._writer.cancel()
+            reader.cancel()
+            await asyncio.wait({self._writer, reader})
+            await self._settle(scribe)
+            outcomes = await asyncio.gather(*tasks, return_exceptions=True)
             self.closed.set()
         for outcome in outcomes:
             if isinstance(outcome, Exception) and not isinstance(outcome, GoneError):
@@ -114,11 +126,16 @@ class Connection:
 
     def set_unconfirmed(self, *, unconfirmed: bool) -> None:
         """Flag forecasts while nobody can tell whether their weights are still the right ones."""
-        self._session.unconfirmed = unconfirmed
+        self._session.weights.unconfirmed = unconfirmed
 
     def switch(self, choice: Choice) -> None:
         """Let other weights answer from the next forecast on."""
         self._perform(self._session.switch(choice))
+
+    def tell_job(self, news: JobNews) -> None:
+        """Tell the client how a job of its user stands."""
+        metrics = UNSET if news.metrics is None else news.metrics
+        self._outbox.put(JobMessage(news.id, news.state, news.progress, metrics))
 
     def tick(self, now: float) -> None:
         """Do what is due with the time: about once a second."""
@@ -148,7 +165,7 @@ class Connection:
         number = message.version
         if self._fetch is not None and isinstance(number, int) and number:
             try:
-                self._session.pin(await self._fetch(number))
+                self._session.weights.pin(await self._fetch(number))
             except VersionUnavailableError:
                 return True
             except NotReadyError as error:
@@ -187,8 +204,22 @@ class Connection:
                 self._outbox.put(action.message)
             elif isinstance(action, Submit):
                 self._submit(action)
+            elif isinstance(action, Store):
+                self._scribe.put(action.step)
             else:
                 self._outbox.end(action.error)
+
+    def _note(self, outcome: Outcome | KinecastError) -> None:
+        """Tell the session what came of a step of the recording."""
+        self._perform(self._session.wrote(outcome, time.monotonic()))
+
+    async def _settle(self, scribe: asyncio.Task[None]) -> None:
+        """Store what was recorded until now, as far as that is quick."""
+        recorder = self._session.recorder
+        self._perform(recorder.leave(time.monotonic()))
+        await self._scribe.settle(SETTLE_S, scribe)
+        if recorder.waiting:
+            log.warning("a stream ended with frames that are not stored", frames=recorder.waiting)
 
     def _submit(self, action: Submit) -> None:
         ticket = action.ticket

@@ -5,7 +5,8 @@ with a message.
 """
 
 from dataclasses import dataclass
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
+from uuid import UUID
 
 import numpy as np
 from jaxtyping import Float
@@ -79,9 +80,9 @@ class ClientPong(_Client, tag="pong"):
 
 
 class TrialStart(_Client, tag="trial.start"):
-    """Begin a recording."""
+    """Begin a recording, and its first clip."""
 
-    trial: str | None = None
+    trial: UUID | None = None
     label: Label | None = None
 
 
@@ -108,7 +109,7 @@ class TrialCancel(_Client, tag="trial.cancel"):
 class TrialResume(_Client, tag="trial.resume"):
     """Go on with a recording after a reconnect."""
 
-    trial: str
+    trial: UUID
 
 
 Recording = TrialStart | ClipStart | ClipStop | TrialStop | TrialCancel | TrialResume
@@ -203,6 +204,33 @@ class VersionMessage(_Server, tag="version"):
     reason: str
 
 
+class JobNote(Struct, frozen=True):
+    """A job, as far as a stream is told of it at the end of a trial."""
+
+    id: UUID
+    state: str
+
+
+class TrialMessage(_Server, tag="trial"):
+    """How a recording stands: after every change, and once a second."""
+
+    state: str
+    trial: UUID
+    clip: int | None
+    stored_seq: int | None
+    clips_dropped: int
+    job: JobNote | UnsetType | None = UNSET
+
+
+class JobMessage(_Server, tag="job"):
+    """How a fine-tuning job of the user stands: when that changes."""
+
+    id: UUID
+    state: str
+    progress: dict[str, Any] | None
+    metrics: dict[str, Any] | UnsetType = UNSET
+
+
 class WaitingMessage(_Server, tag="waiting"):
     """Why frames get no forecast: at the first of them, then once a second."""
 
@@ -256,6 +284,8 @@ ServerMessage = (
     Hello
     | Forecast
     | VersionMessage
+    | TrialMessage
+    | JobMessage
     | WaitingMessage
     | Configured
     | Pong

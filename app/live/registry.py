@@ -20,7 +20,7 @@ from app.domain.errors import (
     UserDeletedError,
 )
 from app.domain.limits import Limits
-from app.domain.streams import OpenStream, Verdict
+from app.domain.streams import JobNews, OpenStream, Verdict
 from app.live.telemetry import Telemetry
 from app.live.work import Choice
 
@@ -54,6 +54,10 @@ class LiveStream(Protocol):
 
     def tick(self, now: float) -> None:
         """Do what is due with the time."""
+        ...
+
+    def tell_job(self, news: JobNews) -> None:
+        """Tell the client how a job of its user stands."""
         ...
 
     def switch(self, choice: Choice) -> None:
@@ -104,6 +108,10 @@ class Registry:
 
     def __len__(self) -> int:
         return len(self._streams)
+
+    def list_connections(self) -> tuple[LiveStream, ...]:
+        """List the connections of the open streams."""
+        return tuple(self._streams.values())
 
     def start(self) -> None:
         """Begin to tick and to watch."""

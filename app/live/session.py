@@ -5,7 +5,6 @@ a forecast, counted in `skipped` or `not_due`, or covered by a `waiting` or an `
 """
 
 import dataclasses
-import math
 from collections.abc import Callable
 
 from msgspec import UNSET
@@ -22,19 +21,21 @@ from app.domain.errors import (
     SeqNotIncreasingError,
     StaleFrameError,
     TooFastError,
-    TooManyErrorsError,
-    TrialUnavailableError,
+    TrialConflictError,
+    TrialLimitError,
     UnknownVersionError,
     VersionUnavailableError,
 )
 from app.domain.limits import FEATURES, Limits
 from app.domain.motion import RequestedVersion, VersionStamp
 from app.live import protocol
-from app.live.accounting import ErrorBudget, Ledger, RateLimit
-from app.live.actions import Action, End, Identity, Send, Submit, Ticket, describe
+from app.live.accounting import Ledger, RateLimit
+from app.live.actions import Action, End, Identity, Send, Submit, Ticket
+from app.live.choosing import Chooser
 from app.live.clock import ClientClock
+from app.live.complaints import REPEAT_S, Complaints
 from app.live.forecasting import make_answer
-from app.live.frames import SNAP_S, WindowRules
+from app.live.frames import WindowRules
 from app.live.protocol import (
     ClientMessage,
     ClientPong,
@@ -46,6 +47,7 @@ from app.live.protocol import (
     Observation,
     Ping,
     Pong,
+    Recording,
     Rejected,
     Reset,
     ServerPing,
@@ -53,18 +55,17 @@ from app.live.protocol import (
     VersionMessage,
     WaitingMessage,
 )
+from app.live.recorder import Recorder
+from app.live.steps import Outcome
 from app.live.telemetry import Telemetry
 from app.live.window import FrameBuffer, Waiting, WindowReady
 from app.live.work import Choice, EngineRequest, EngineResult
 from models.spec import MotionSpec
 
-REPEAT_S = 1.0
-"""How often a state that lasts (waiting, a wrong unit of time) is told again."""
 PING_EVERY_S = 5.0
 BURST_S = 2.0
 """A stalled link may deliver this much at once."""
 RATE_SLACK = 1.1
-ERRORS_MOST, ERRORS_WITHIN_S = 60, 10.0
 LATE_SHARE = 0.5
 """Input older than this share of `max_age_ms` is flagged `late_input`."""
 
@@ -82,6 +83,7 @@ class Session:
         telemetry: where to count.
         rules: what counts as a window.
         spec: shape of the task.
+        keep_s: how long a recording waits for a database that is away.
         now: the server's monotonic clock, seconds; as in every call.
     """
 
@@ -98,13 +100,14 @@ class Session:
         active: Choice | None = None,
         rules: WindowRules | None = None,
         spec: MotionSpec | None = None,
+        keep_s: float = 10.0,
     ) -> None:
         self.settings = settings
-        self.unconfirmed = False
+        self.weights = Chooser(resolve, active)
+        self.recorder = Recorder(limits, joints=len(identity.skeleton.joints), keep_s=keep_s)
         self._who, self._limits, self._spec = identity, limits, spec or MotionSpec()
-        self._resolve, self._engine_ms, self._telemetry = resolve, engine_ms, telemetry
-        self._active, self._turn = active or Choice(resolve("active")), 0
-        self._pinned: Choice | None = None
+        self._engine_ms, self._telemetry = engine_ms, telemetry
+        self._complaints = Complaints(telemetry)
         self._buffer = FrameBuffer(
             identity.skeleton,
             up=identity.up,
@@ -117,15 +120,12 @@ class Session:
         self._rate = RateLimit(
             rate_hz=RATE_SLACK * limits.max_rate_hz, burst=BURST_S * limits.max_rate_hz
         )
-        self._mistakes = ErrorBudget(most=ERRORS_MOST, within_s=ERRORS_WITHIN_S)
         self._last_seq: int | None = None
         self._until_due = 0
         self._waiting: str | None = None
         self._unit_was_wrong = False
-        self._told_at: dict[str, float] = {}
         self._last_heard = self._last_ping = now
         self._pings = 0
-        self._last_kind: tuple[str, str | None] | None = None
 
     def hello(self) -> Hello:
         """Introduce the server: the first message."""
@@ -141,7 +141,7 @@ class Session:
             rate_hz=self._spec.rate_hz,
             observe=self._spec.observe,
             horizon=self._spec.horizon,
-            version=self._choose(self.settings.version).stamp,
+            version=self.weights.choose(self.settings.version).stamp,
             settings=self.settings,
             limits=self._limits,
         )
@@ -158,7 +158,7 @@ class Session:
             return self._control(message, now)
         if isinstance(message.error, BadMessageError):
             return [End(message.error)]
-        return self._refuse(message.error, message.seq, now)
+        return self._complaints.refuse(message.error, message.seq, now)
 
     def answer(self, ticket: Ticket, result: EngineResult, now: float) -> list[Action]:
         """Turn a result of the engine into the message, at the moment at which it can leave.
@@ -166,14 +166,16 @@ class Session:
         Gives an error in its place if it became too old, and nothing if the frame is accounted for
         already or the client's frame of reference or clock has changed since.
         """
-        if ticket.turn != self._turn:
+        if ticket.turn != self.weights.turn:
             return self._ask_again(ticket)
         age_ms = (now - ticket.born) * 1e3
         if age_ms > self.settings.max_age_ms:
             return self._tell_stale(ticket.seq, age_ms) if self._ledger.drop(ticket.seq) else []
         if result.version.replaces_pinned:
             failed = VersionUnavailableError(f"Version {result.version.requested} failed.")
-            return [self._tell(failed, ticket.seq)] if self._ledger.drop(ticket.seq) else []
+            return (
+                [self._complaints.tell(failed, ticket.seq)] if self._ledger.drop(ticket.seq) else []
+            )
         counts = self._ledger.settle(ticket.seq)
         if counts is None:
             return []
@@ -184,7 +186,7 @@ class Session:
             result,
             skeleton=self._who.skeleton,
             up=self._who.up,
-            flags=(*ticket.flags, *self._flag_version(result.version)),
+            flags=(*ticket.flags, *self.weights.flag(result.version)),
             spec=self._spec,
         )
         return [
@@ -208,17 +210,10 @@ class Session:
             )
         ]
 
-    def pin(self, choice: Choice) -> None:
-        """Take a pinned version that was loaded, before it is asked for."""
-        self._pinned = choice
-
     def switch(self, choice: Choice) -> list[Action]:
         """Go over to other active weights; forecasts of the old ones are made anew."""
-        changed = choice.stamp != self._active.stamp
-        self._active = choice
-        if not changed or self.settings.version != "active":
+        if not self.weights.switch(choice, requested=self.settings.version):
             return []
-        self._turn += 1
         return [Send(VersionMessage(choice.stamp, choice.reason))]
 
     def tick(self, now: float) -> list[Action]:
@@ -233,7 +228,13 @@ class Session:
         if late is not None:
             need_s = self._buffer.rules.complete_s
             actions.append(Send(WaitingMessage(late.seq, late.t, "overloaded", need_s, need_s)))
-        return actions
+        return [*actions, *self.recorder.tick(now)]
+
+    def wrote(self, outcome: Outcome | KinecastError, now: float) -> list[Action]:
+        """Take note of what came of a step of the recording."""
+        if isinstance(outcome, KinecastError):
+            return self.recorder.failed(outcome, now)
+        return self.recorder.wrote(outcome, now)
 
     def _control(self, message: Control, now: float) -> list[Action]:
         """Take a message that is no frame."""
@@ -241,7 +242,7 @@ class Session:
             case Configure():
                 return self._configure(message, now)
             case Reset():
-                return self._reset()
+                return self._reset(now)
             case Ping(id=name, t=t):
                 return [Send(Pong(id=name, t=t, server_t=now, engine_ms=self._engine_ms()))]
             case ClientPong():
@@ -249,31 +250,46 @@ class Session:
                     self._clock.pong(server_t=self._last_ping, t=message.t, now=now)
                 return []
             case protocol.Auth():
-                return self._refuse(InvalidError("The stream is authorised already."), None, now)
+                return self._complaints.refuse(
+                    InvalidError("The stream is authorised already."), None, now
+                )
             case _:
-                return self._refuse_recording(now)
+                return self._record(message, now)
 
-    def _reset(self) -> list[Action]:
+    def _reset(self, now: float) -> list[Action]:
         """Forget the window; forecasts on their way are of the frame of reference before."""
         self._buffer.clear()
         self._ledger.forget()
         self._waiting = None
-        return []
+        return self.recorder.cut(now)
+
+    def _record(self, message: Recording, now: float) -> list[Action]:
+        if not self._who.may_record:
+            error = ForbiddenError("Recording needs a key with the scope record.")
+            return self._complaints.refuse(error, None, now)
+        try:
+            return self.recorder.take(message, now)
+        except (TrialConflictError, TrialLimitError) as refused:
+            return self._complaints.refuse(refused, None, now)
 
     def _observe(self, frame: Observation, now: float) -> list[Action]:
         self._telemetry.count_frames("received")
-        if self._last_seq is not None and frame.seq <= self._last_seq:
-            error = SeqNotIncreasingError(f"seq must be above {self._last_seq}, got {frame.seq}.")
-            return self._refuse(error, frame.seq, now)
+        last = self._last_seq
+        if not frame.replay and self.recorder.floor is not None:
+            last = max(self.recorder.floor, -1 if last is None else last)
+        if last is not None and frame.seq <= last:
+            error = SeqNotIncreasingError(f"seq must be above {last}, got {frame.seq}.")
+            return self._complaints.refuse(error, frame.seq, now)
         try:
             restart = self._buffer.push(frame.t, frame.joints, frame.confidence)
         except BadFrameError as error:
-            return self._refuse(error, frame.seq, now)
+            return self._complaints.refuse(error, frame.seq, now)
         self._last_seq = frame.seq
         if restart == "clock_restart":
             self._clock.restart()
             self._ledger.forget()
-        return [] if frame.replay else self._respond(frame, now)
+        answers = [] if frame.replay else self._respond(frame, now)
+        return [*answers, *self.recorder.record(frame, now, anew=restart is not None)]
 
     def _respond(self, frame: Observation, now: float) -> list[Action]:
         """Have a frame forecast, or say why not."""
@@ -302,7 +318,7 @@ class Session:
         is_late = age_ms > LATE_SHARE * self.settings.max_age_ms
         flags = ("late_input",) if is_late else ()
         born = now - age_ms / 1e3
-        return [self._submit(Ticket(frame.seq, ready, flags, born=born, turn=self._turn))]
+        return [self._submit(Ticket(frame.seq, ready, flags, born=born, turn=self.weights.turn))]
 
     def _ask_again(self, ticket: Ticket) -> list[Action]:
         """Have a frame forecast by the new weights; where a newer one waits, it counts as skipped.
@@ -311,32 +327,19 @@ class Session:
         """
         if not self._ledger.is_newest(ticket.seq):
             return []
-        return [self._submit(dataclasses.replace(ticket, turn=self._turn))]
+        return [self._submit(dataclasses.replace(ticket, turn=self.weights.turn))]
 
     def _submit(self, ticket: Ticket) -> Submit:
         wanted = self.settings
-        choice = self._choose(wanted.version)
+        choice = self.weights.choose(wanted.version)
         request = EngineRequest(ticket.ready.window, wanted.version, wanted.coverage, choice)
         return Submit(request, ticket)
-
-    def _choose(self, requested: RequestedVersion) -> Choice:
-        """Tell what a request means.
-
-        Raises:
-            VersionUnavailableError: a version that was not loaded.
-        """
-        if requested == "active":
-            return self._active
-        if self._pinned is not None and self._pinned.stamp.requested == requested:
-            return self._pinned
-        return Choice(self._resolve(requested))
 
     def _wait(self, frame: Observation, waiting: Waiting, now: float) -> list[Action]:
         self._telemetry.count_frames("waiting")
         is_new, self._waiting = waiting.reason != self._waiting, waiting.reason
-        if not self._is_time("waiting", now) and not is_new:
+        if not self._complaints.is_time("waiting", now, is_news=is_new):
             return []
-        self._told_at["waiting"] = now
         have_s = round(waiting.have_s, 6)
         return [Send(WaitingMessage(frame.seq, frame.t, waiting.reason, have_s, waiting.need_s))]
 
@@ -347,57 +350,28 @@ class Session:
             if getattr(message, name) is not UNSET
         }
         try:
-            self._choose(given.get("version", self.settings.version))
+            self.weights.choose(given.get("version", self.settings.version))
         except VersionUnavailableError as error:
-            return self._refuse(UnknownVersionError(error.message), None, now)
+            return self._complaints.refuse(UnknownVersionError(error.message), None, now)
         self.settings = replace(self.settings, **given)
         self._until_due = 0
         from_seq = 0 if self._last_seq is None else self._last_seq + 1
         return [Send(Configured(self.settings, from_seq))]
 
-    def _refuse_recording(self, now: float) -> list[Action]:
-        error: KinecastError = TrialUnavailableError()
-        if not self._who.may_record:
-            error = ForbiddenError("Recording needs a key with the scope record.")
-        return self._refuse(error, None, now)
-
-    def _refuse(self, error: KinecastError, seq: int | None, now: float) -> list[Action]:
-        """Tell the client of its mistake; end the stream if it makes too many."""
-        actions: list[Action] = [self._tell(error, seq)]
-        if not self._mistakes.spend(now):
-            most, within_s = ERRORS_MOST, ERRORS_WITHIN_S
-            reason = f"Over {most} errors in {within_s:g} s."
-            actions.append(End(TooManyErrorsError(reason)))
-        return actions
-
     def _tell_stale(self, seq: int, age_ms: float) -> list[Action]:
         """Tell of a stale frame: the link's fault, so it counts as no mistake of the client."""
         self._telemetry.count_frames("stale")
         limit = self.settings.max_age_ms
-        return [self._tell(StaleFrameError(f"{age_ms:.0f} ms old, over {limit:g} ms."), seq)]
+        return [
+            self._complaints.tell(StaleFrameError(f"{age_ms:.0f} ms old, over {limit:g} ms."), seq)
+        ]
 
     def _tell_time_unit(self, seq: int, now: float) -> list[Action]:
         self._telemetry.count_frames("waiting")
         self._waiting = None
         is_news, self._unit_was_wrong = not self._unit_was_wrong, True
-        if not is_news and not self._is_time("unit", now):
+        if not self._complaints.is_time("unit", now, is_news=is_news):
             return []
-        self._told_at["unit"] = now
-        return [self._tell(BadTimeUnitError("The steps of t are not those of seconds."), seq)]
-
-    def _tell(self, error: KinecastError, seq: int | None) -> Send:
-        self._telemetry.count_error(error.code)
-        return Send(describe(error, seq))
-
-    def _is_time(self, what: str, now: float) -> bool:
-        return now - self._told_at.get(what, -math.inf) >= REPEAT_S - SNAP_S
-
-    def _flag_version(self, version: VersionStamp) -> list[str]:
-        flags = []
-        kind = (version.kind, version.sha256)
-        if self._last_kind not in {None, kind}:
-            flags.append("version_changed")
-        self._last_kind = kind
-        if self.unconfirmed:
-            flags.append("version_unconfirmed")
-        return flags
+        return [
+            self._complaints.tell(BadTimeUnitError("The steps of t are not those of seconds."), seq)
+        ]

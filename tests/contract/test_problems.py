@@ -20,7 +20,8 @@ def every_error(root=KinecastError):
 
 
 def make(kind):
-    return kind("why", limit="clips") if kind is errors.LimitExceededError else kind("why")
+    is_limit = issubclass(kind, errors.LimitExceededError)
+    return kind("why", limit="clips") if is_limit else kind("why")
 
 
 def assert_is_problem(answer, status, code):

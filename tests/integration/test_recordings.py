@@ -8,10 +8,15 @@ import pytest
 import pytest_asyncio
 
 from app.domain.access import Scope
-from app.domain.errors import FencedError, TrialConflictError, UnknownTrialError
+from app.domain.errors import (
+    FencedError,
+    TrialConflictError,
+    UnknownTrialError,
+    UserDeletedError,
+)
 from app.domain.recordings import RawFrames, pack_frames, unpack_frames
 from app.domain.trials import ClipFlaw, TrialState
-from app.storage import recordings, sessions, trials
+from app.storage import recordings, sessions, trials, users
 from app.storage.recordings import Chunk
 from tests.personal_support import START, add_key, add_user, record_frames
 
@@ -40,7 +45,13 @@ async def open_stream(database, user, key):
 async def start(database, user, epoch, trial_id=None):
     async with database.write() as tx:
         return await recordings.start(
-            tx, user.uuid, trial_id=trial_id, label=None, session="robot", epoch=epoch, now=START
+            tx,
+            user.uuid,
+            trial_id or uuid4(),
+            label=None,
+            session="robot",
+            epoch=epoch,
+            now=START,
         )
 
 
@@ -56,7 +67,7 @@ async def append(database, held, begin, end, *, now=START):
 
 async def stop(database, held, flaws=()):
     async with database.write() as tx:
-        await recordings.stop(tx, held, finetune=True, flaws=dict(flaws), now=START)
+        return await recordings.stop(tx, held, finetune=True, flaws=dict(flaws), now=START)
 
 
 async def read(database, user, held):
@@ -95,6 +106,50 @@ async def test_starting_again_changes_nothing(database, user, key):
         await start(database, user, epoch, trial_id)
 
 
+async def test_starting_again_after_a_reconnect_goes_on(database, user, key):
+    trial_id = uuid4()
+    old = await start(database, user, await open_stream(database, user, key), trial_id)
+    await append(database, old, 0, 5)
+    new = await start(database, user, await open_stream(database, user, key), trial_id)
+    assert (new.stored_seq, new.clips, new.frames) == (5, 1, 5)
+    with pytest.raises(FencedError):
+        await append(database, old, 5, 9)
+
+
+async def test_steps_that_are_repeated_change_nothing(database, user, key):
+    held = await start(database, user, await open_stream(database, user, key))
+    await append(database, held, 0, 20)
+    await append(database, held, 0, 20)
+    assert (await read(database, user, held)).frames == 20
+    assert await stop(database, held)
+    assert not await stop(database, held)
+    other = await start(database, user, held.epoch)
+    for _ in range(2):
+        async with database.write() as tx:
+            await recordings.cancel(tx, other, now=START)
+    assert (await read(database, user, other)).state == TrialState.CANCELLED
+
+
+async def test_tail_is_the_newest_chunk_of_the_last_clip(database, user, key):
+    held = await start(database, user, await open_stream(database, user, key))
+    async with database.read() as tx:
+        assert await recordings.read_tail(tx, held.trial_id) is None
+    await append(database, held, 0, 20)
+    await append(database, held, 20, 30)
+    async with database.read() as tx:
+        tail = await recordings.read_tail(tx, held.trial_id)
+    assert (tail.clip, tail.action, tail.frames) == (0, "wave", 30)
+    assert unpack_frames([tail.payload]).t[-1] == FRAMES.t[29]
+
+
+async def test_erased_person_ends_the_recording(database, user, key):
+    held = await start(database, user, await open_stream(database, user, key))
+    async with database.write() as tx:
+        await users.erase(tx, user.id, actor=None, audit_key=b"k")
+    with pytest.raises(UserDeletedError):
+        await append(database, held, 0, 20)
+
+
 async def test_newer_stream_takes_the_recording_over(database, user, key):
     old = await start(database, user, await open_stream(database, user, key))
     await append(database, old, 0, 10)
@@ -128,7 +183,7 @@ async def test_cancelled_recording_leaves_no_frame(database, user, key):
         await recordings.cancel(tx, held, now=START)
     trial = await read(database, user, held)
     assert (trial.state, trial.frames) == (TrialState.CANCELLED, 0)
-    with pytest.raises(FencedError):
+    with pytest.raises(TrialConflictError):
         await append(database, held, 40, 50)
 
 

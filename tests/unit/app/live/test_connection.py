@@ -16,7 +16,9 @@ from app.live.engine import Engine
 from app.live.outbox import FULL, Outbox
 from app.live.protocol import JSON, Bye
 from app.live.session import Session
+from app.live.steps import Outcome, Step
 from models.baselines import ZeroVelocity
+from tests.unit.app.live.recorder_rig import ListArchive
 from tests.unit.app.live.test_session import PERSON, make_session
 
 CODEC = Codec(JSON, joints=20)
@@ -52,12 +54,28 @@ class FakeSocket:
         self.inbox.put_nowait(json.dumps(frame))
 
 
+class MemoryArchive:
+    """A database in memory, which may be slow."""
+
+    def __init__(self) -> None:
+        self.rig = ListArchive()
+        self.answers = asyncio.Event()
+        self.answers.set()
+
+    async def __call__(self, step: Step) -> Outcome:
+        await self.answers.wait()
+        return self.rig.perform(step)
+
+
 class Fixture:
     def __init__(self, engine: Engine) -> None:
         self.socket = FakeSocket()
         self.session: Session = make_session(now=time.monotonic())
         stream = OpenStream(user_uuid=uuid4(), key_id=uuid4(), session="s", epoch=1)
-        self.connection = Connection(self.socket, CODEC, self.session, engine, stream)
+        self.archive = MemoryArchive()
+        self.connection = Connection(
+            self.socket, CODEC, self.session, engine, stream, archive=self.archive
+        )
         self.task = asyncio.create_task(self.connection.run())
 
     async def until(self, condition) -> None:
@@ -134,6 +152,22 @@ async def test_a_client_that_vanishes_ends_the_stream(live: Fixture) -> None:
     live.socket.inbox.put_nowait(None)
     await live.task
     assert live.socket.refused is None
+
+
+@pytest.mark.asyncio
+async def test_a_slow_database_does_not_delay_forecasts(live: Fixture) -> None:
+    live.archive.answers.clear()
+    live.socket.inbox.put_nowait(json.dumps({"type": "trial.start"}))
+    for seq in range(40):
+        live.socket.show(seq)
+    await live.until(lambda: live.socket.taken[-1:] and live.socket.taken[-1].get("seq") == 39)
+    assert not any(message["type"] == "trial" for message in live.socket.taken)
+    live.archive.answers.set()
+    await live.until(lambda: live.socket.taken[-1]["type"] == "trial")
+    live.socket.inbox.put_nowait(None)
+    await live.task
+    (clip,) = live.archive.rig.clips.values()
+    assert [frame.seq for frame in clip] == list(range(40))
 
 
 @pytest.mark.asyncio

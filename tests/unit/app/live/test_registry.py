@@ -7,7 +7,7 @@ import pytest
 
 from app.domain.errors import DrainingError, KinecastError, NotReadyError, TooFastError
 from app.domain.motion import VersionStamp
-from app.domain.streams import OpenStream, Verdict
+from app.domain.streams import JobNews, OpenStream, Verdict
 from app.live.registry import Registry
 from app.live.telemetry import Telemetry
 from app.live.work import Choice
@@ -26,6 +26,7 @@ class FakeStream:
         self.unconfirmed = False
         self.ticks = 0
         self.choices: list[Choice] = []
+        self.news: list[JobNews] = []
 
     def end(self, error: KinecastError) -> None:
         self.ended = error
@@ -33,6 +34,9 @@ class FakeStream:
 
     def tick(self, now: float) -> None:
         self.ticks += 1
+
+    def tell_job(self, news: JobNews) -> None:
+        self.news.append(news)
 
     def switch(self, choice: Choice) -> None:
         self.choices.append(choice)

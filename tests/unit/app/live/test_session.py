@@ -14,6 +14,7 @@ from app.live.protocol import (
     Auth,
     ClientMessage,
     ClientPong,
+    ClipStart,
     Configure,
     Configured,
     ErrorMessage,
@@ -262,7 +263,7 @@ def test_replayed_frames_fill_the_window_and_are_not_answered() -> None:
         (Observation(99, 9.0, np.zeros((19, 3)), None, replay=False), "wrong_joint_count"),
         (Rejected(BadFrameError("no"), 99), "bad_frame"),
         (Configure(version=3), "unknown_version"),
-        (TrialStart(), "trial_unavailable"),
+        (ClipStart(), "trial_conflict"),
         (Auth("key"), "invalid_request"),
     ],
 )

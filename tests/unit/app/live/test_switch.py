@@ -68,7 +68,7 @@ def test_a_stream_that_asked_for_the_base_keeps_it(stream) -> None:
 
 def test_a_pinned_version_is_never_replaced(stream) -> None:
     pinned = Choice(VersionStamp(1, "personal", "cd", requested=1, share=1.0), ZeroVelocity(15))
-    stream.session.pin(pinned)
+    stream.session.weights.pin(pinned)
     assert isinstance(sent(stream.say(Configure(version=1)))[0], Configured)
     asked = stream.submit(20)
     assert asked.request.choice == pinned

@@ -1,0 +1,80 @@
+"""Stores recordings whose stream is gone and does not come back."""
+
+import asyncio
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from datetime import timedelta
+
+import structlog
+
+from app.domain.errors import NotReadyError
+from app.storage.database import Database
+from app.storage.recordings import store_abandoned
+from app.storage.tables import utc_now
+
+SWEEP_S = 5.0
+GRACE_S = 15.0
+"""After an outage, streams that could not say that they are there get this long to do so."""
+
+log = structlog.get_logger(__name__)
+
+
+class Sweeper:
+    """Looks for abandoned recordings. Every replica may: the second one finds nothing.
+
+    Args:
+        database: where they are.
+        abandoned_s: a recording without a sign of life for this long is abandoned.
+        every_s: how often to look.
+        clock: seconds, monotonic.
+    """
+
+    def __init__(
+        self,
+        database: Database,
+        *,
+        abandoned_s: float,
+        every_s: float = SWEEP_S,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._database, self._every_s, self._clock = database, every_s, clock
+        self._abandoned = timedelta(seconds=abandoned_s)
+        self._reached_since: float | None = None
+        self._task: asyncio.Task[None] | None = None
+
+    def start(self) -> None:
+        """Begin to look."""
+        self._task = asyncio.create_task(self._sweep_for_ever())
+
+    async def stop(self) -> None:
+        """Look no more."""
+        if self._task is not None:
+            self._task.cancel()
+            with suppress(asyncio.CancelledError):
+                await self._task
+        self._task = None
+
+    async def sweep(self) -> int:
+        """Store what is abandoned now; gives how many recordings that were."""
+        now = self._clock()
+        try:
+            if self._reached_since is None or now - self._reached_since < GRACE_S:
+                await self._database.ping()
+                self._reached_since = now if self._reached_since is None else self._reached_since
+                return 0
+            async with self._database.write() as tx:
+                moment = utc_now()
+                before = moment - self._abandoned
+                stored = await store_abandoned(tx, before=before, now=moment)
+        except NotReadyError:
+            self._reached_since = None
+            return 0
+        if stored:
+            log.info("recordings without a stream were stored", trials=len(stored))
+        return len(stored)
+
+    async def _sweep_for_ever(self) -> None:
+        while True:
+            await asyncio.sleep(self._every_s)
+            await self.sweep()
