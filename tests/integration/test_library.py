@@ -2,6 +2,7 @@
 
 import asyncio
 import threading
+from typing import Any
 
 import pytest
 
@@ -28,12 +29,12 @@ class SlowDecoders(Decoders):
         self.slow, self.built = slow, []
         self.begun, self.release = threading.Event(), threading.Event()
 
-    def build(self, blob: bytes) -> Forecaster:
+    def build(self, blob: bytes, **base: Any) -> Forecaster:
         self.built.append(blob)
         if blob in self.slow:
             self.begun.set()
             assert self.release.wait(10)
-        return super().build(blob)
+        return super().build(blob, **base)
 
 
 async def start(database, *names: str) -> list:
