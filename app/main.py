@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from datetime import timedelta
 from functools import partial
 from pathlib import Path
 
@@ -39,6 +40,7 @@ from app.settings import Settings
 from app.storage.announcements import Topic
 from app.storage.bootstrap import load_audit_key
 from app.storage.database import Database
+from app.storage.housekeeping import Housekeeper
 from app.storage.migrate import check_current
 from app.storage.sessions import watch
 from app.version import read_version
@@ -107,6 +109,7 @@ def create_app(
     state.registry = _make_registry(state.library, settings, state.telemetry)
     state.job_watch = _make_job_watch(state.registry, state.database, settings)
     state.sweeper = Sweeper(state.database, abandoned_s=settings.recording_abandoned_s)
+    state.housekeeper = _make_housekeeper(state.registry, state.database, settings)
     state.worker = worker
     state.draining = False
     for part in ROUTES:
@@ -136,6 +139,14 @@ def _make_job_watch(registry: Registry, database: Database, settings: Settings) 
         registry.list_connections,
         listen=lambda: database.announcements.listen(Topic.JOBS, Topic.PROGRESS).wait,
         every_s=settings.watch_s,
+    )
+
+
+def _make_housekeeper(registry: Registry, database: Database, settings: Settings) -> Housekeeper:
+    return Housekeeper(
+        database,
+        lambda: [connection.stream for connection in registry.list_connections()],
+        kept=timedelta(days=settings.history_kept_days),
     )
 
 
@@ -178,7 +189,7 @@ def _add_middleware(app: FastAPI, settings: Settings) -> None:
 async def _live(app: FastAPI) -> AsyncIterator[None]:
     """Start the parts in order, and stop them the other way round."""
     state = app.state
-    watches = (state.registry, state.job_watch, state.sweeper)
+    watches = (state.registry, state.job_watch, state.sweeper, state.housekeeper)
     try:
         await check_current(state.database)
         state.audit_key = load_audit_key(state.settings)
