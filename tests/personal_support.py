@@ -61,21 +61,21 @@ async def enqueue(tx, user):
     return await jobs.enqueue(tx, user.uuid, reason=JobReason.TRIAL, requested_by=None)
 
 
-async def claim(database, *, now=START, owner="worker"):
+async def claim(database, *, now=START, owner="worker", base_sha256=None):
     async with database.write() as tx:
-        return await leases.claim(tx, owner=owner, lease=LEASE, now=now)
+        return await leases.claim(tx, owner=owner, lease=LEASE, now=now, base_sha256=base_sha256)
 
 
 RANDOM = b""
 
 
-def make_result(*, verdict=Verdict.PROMOTE, blob=RANDOM, parent=0):
+def make_result(*, verdict=Verdict.PROMOTE, blob=RANDOM, parent=0, base_sha256=BASE_SHA256):
     return Result(
         verdict=verdict,
         message="as told",
         blob=uuid4().bytes if blob is RANDOM else blob,
         parent=parent,
-        base_sha256=BASE_SHA256,
+        base_sha256=base_sha256,
         metrics={"before": [1.0], "after": [0.5]},
     )
 

@@ -53,11 +53,11 @@ def make_personal(
     return PersonalDecoder(base, decoder, familiarity, metadata)
 
 
-def dump(personal: PersonalDecoder) -> bytes:
+def dump(personal: PersonalDecoder, *, base_sha256: str = BASE_SHA256) -> bytes:
     return dump_personal(
         personal.decoder,
         personal.metadata,
-        base_sha256=BASE_SHA256,
+        base_sha256=base_sha256,
         familiarity=personal.familiarity,
     )
 
@@ -89,17 +89,29 @@ def forecast_offline(forecaster: Forecaster, observed: np.ndarray) -> np.ndarray
 
 
 async def add_version(
-    database: Database, user_id: str, personal: PersonalDecoder, *, wins: bool = True
+    database: Database,
+    user_id: str,
+    personal: PersonalDecoder,
+    *,
+    wins: bool = True,
+    base_sha256: str = BASE_SHA256,
 ) -> Version:
     """Store a version as a job does; one that wins is active at once."""
     async with database.write() as tx:
         user = await users.get(tx, user_id)
         await add_trial(tx, user)
         await enqueue(tx, user)
-    held = await claim(database)
+    held = await claim(database, base_sha256=base_sha256)
     async with database.read() as tx:
         parent = (await versions.read_active_of(tx, user.uuid)).number
     verdict = Verdict.PROMOTE if wins else Verdict.REJECT
-    await finish(database, held, blob=dump(personal), parent=parent, verdict=verdict)
+    await finish(
+        database,
+        held,
+        blob=dump(personal, base_sha256=base_sha256),
+        parent=parent,
+        verdict=verdict,
+        base_sha256=base_sha256,
+    )
     async with database.read() as tx:
         return (await versions.list_all(tx, user.uuid))[-1]

@@ -2,6 +2,7 @@
 
 import asyncio
 import gc
+import hashlib
 import shlex
 import shutil
 import socket
@@ -46,9 +47,9 @@ def _run(settings: Settings, listener: socket.socket, *, with_worker: bool) -> N
     key = asyncio.run(_prepare(settings))
     address = _name_address(listener)
     worker = EmbeddedWorker(settings.data_dir) if with_worker else None
-    server = make_server(
-        create_app(settings, worker=worker), settings, on_ready=lambda: _get_going(address, key)
-    )
+    application = create_app(settings, worker=worker)
+    asyncio.run(_register_base(settings))  # now that it could be loaded
+    server = make_server(application, settings, on_ready=lambda: _get_going(address, key))
     server.run(sockets=[listener])
     if not server.started:
         fail("The service did not start; the log above says why.", status=1)
@@ -100,6 +101,20 @@ async def _prepare(settings: Settings) -> _Key:
     finally:
         await database.close()
     return _show_key(settings, made)
+
+
+async def _register_base(settings: Settings) -> None:
+    """Keep the base in the database, and have versions that run on another one fitted again."""
+    from app.storage.database import Database  # noqa: PLC0415 - slow to import
+    from app.worker.setup import ask_for_refits, read_base, store_base  # noqa: PLC0415
+
+    database = Database.from_settings(settings)
+    try:
+        base = read_base(settings)
+        await store_base(database, base)
+        await ask_for_refits(database, hashlib.sha256(base).hexdigest())
+    finally:
+        await database.close()
 
 
 def _show_key(settings: Settings, made: str | None) -> _Key:

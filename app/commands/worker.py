@@ -47,7 +47,7 @@ async def _run(settings: Settings, *, once: bool, tied: bool) -> None:
     try:
         await check_current(database)
         rules = make_rules(settings, owner=owner)
-        await store_base(database, rules)
+        await store_base(database, rules.base)
         database.announcements.start()
         worker = Worker(database, rules, stop)
         if once:

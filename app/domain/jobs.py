@@ -159,21 +159,31 @@ class Turn(NamedTuple):
     """What decides who is next; compares as the queue is ordered.
 
     Attributes:
+        is_refit: whether nobody waits for it, because only the base is another one.
         was_served: whether the user ever had a turn.
         served_at: when, None if never; who waited longest comes first.
         created_at: when the job was made.
         id: so that the order is never open.
     """
 
+    is_refit: bool
     was_served: bool
     served_at: datetime | None
     created_at: datetime
     id: UUID
 
 
-def fair_order(*, served_at: datetime | None, created_at: datetime, job_id: UUID) -> Turn:
+def fair_order(
+    *,
+    served_at: datetime | None,
+    created_at: datetime,
+    job_id: UUID,
+    reason: JobReason = JobReason.TRIAL,
+) -> Turn:
     """Give the key by which jobs are served: whose user waited longest, then the oldest.
 
-    So a user who records all day is one voice among the others.
+    So a user who records all day is one voice among the others. A new base, for which everybody
+    is fitted again, holds nobody up who recorded something.
     """
-    return Turn(served_at is not None, served_at, created_at, job_id)
+    is_refit = reason is JobReason.NEW_BASE
+    return Turn(is_refit, served_at is not None, served_at, created_at, job_id)

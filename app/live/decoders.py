@@ -14,10 +14,11 @@ from app.domain.errors import VersionUnavailableError
 from app.domain.motion import Fallback, RequestedVersion, VersionStamp
 from app.live.breaker import Breaker
 from models.baselines import DampedVelocity, Forecaster
-from models.checkpoint import CheckpointError, load_personal
+from models.checkpoint import Checkpoint, CheckpointError, load_checkpoint, load_personal
 from models.personal import PersonalDecoder
 from models.runtime.mixed import NET_FAILURES, forecast_mixed
 from models.skeleton import HIP_CENTER
+from models.spec import MotionSpec
 from models.uncertainty import RadiusTable
 
 
@@ -61,6 +62,7 @@ class Decoders:
         self.base_sha256 = base_sha256
         self.breaker = Breaker()
         self._base, self._table = base, radius
+        self._other_bases: dict[str, Checkpoint] = {}
         self._look_up = lru_cache(maxsize=64)(self._compute_radius)
 
     def resolve(self, requested: RequestedVersion) -> VersionStamp:
@@ -79,16 +81,44 @@ class Decoders:
         """Say that the base answers, and why if something else was to."""
         return VersionStamp(0, "base", self.base_sha256, requested=requested, fallback=fallback)
 
-    def build(self, blob: bytes) -> Forecaster:
-        """Build a personal decoder behind the base's encoder; slow, and safe on any thread.
+    def has_base(self, base_sha256: str) -> bool:
+        """Tell whether decoders that were fitted on this base can be built without its file."""
+        return base_sha256 == self.base_sha256 or base_sha256 in self._other_bases
+
+    def build(
+        self, blob: bytes, *, base_sha256: str | None = None, base: bytes | None = None
+    ) -> Forecaster:
+        """Build a personal decoder behind its base's encoder; slow, and safe on any thread.
+
+        Args:
+            blob: the decoder's weights.
+            base_sha256: the base that it was fitted on, None for the one of this process.
+            base: that base, as its file, where `has_base` says no.
 
         Raises:
-            UnusableWeightsError: no weights of a decoder, or of another base.
+            UnusableWeightsError: no weights of a decoder, of another base, or no base.
         """
+        if base_sha256 is None:
+            base_sha256 = self.base_sha256
         try:
-            return load_personal(blob, self._base, base_sha256=self.base_sha256)
+            net = self._find_base(base_sha256, base)
+            return load_personal(blob, net, base_sha256=base_sha256)
         except CheckpointError as error:
             raise UnusableWeightsError(str(error)) from error
+
+    def _find_base(self, base_sha256: str, blob: bytes | None) -> Forecaster:
+        """Give a base's net; one that is not this process's is loaded once and kept."""
+        if base_sha256 == self.base_sha256:
+            return self._base
+        known = self._other_bases.get(base_sha256)
+        if known is None:
+            if blob is None:
+                raise CheckpointError(f"fitted on the base {base_sha256}, which is not here")
+            loaded = load_checkpoint(blob)
+            if loaded.sha256 != base_sha256 or loaded.predictor.spec != MotionSpec():
+                raise CheckpointError(f"not the base {base_sha256}, or one of another shape")
+            known = self._other_bases.setdefault(base_sha256, loaded)
+        return known.predictor
 
     def forecast(
         self, windows: Float[np.ndarray, "batch observe 20 3"]
@@ -140,7 +170,7 @@ class Decoders:
     ) -> Float32[np.ndarray, "horizon joint"] | None:
         """Give the radius in metres, None where none is calibrated for this.
 
-        The base's table holds for the base. A personal version may say how much wider or narrower
+        A base's table holds for that base. A personal version may say how much wider or narrower
         its own is; as much of that counts as the version has a share in the forecast.
 
         Args:
@@ -148,23 +178,35 @@ class Decoders:
             share: the personal decoder's part of the forecast.
             forecaster: that decoder.
         """
-        radius = self._look_up(round(coverage, 4))
+        radius = self._look_up(round(coverage, 4), self._name_base(forecaster))
         if radius is None or share == 0:
             return radius
         scale = _read_radius_scale(forecaster)
         return None if scale is None else np.float32(1 + share * (scale - 1)) * radius
 
-    def _compute_radius(self, coverage: float) -> Float32[np.ndarray, "horizon joint"] | None:
-        if self._table is None or not 0 < coverage <= self._table.levels[-1]:
+    def _name_base(self, forecaster: Forecaster | None) -> str:
+        """Tell what the base is called that a forecaster runs on."""
+        if isinstance(forecaster, PersonalDecoder) and forecaster.base is not self._base:
+            for sha256, other in tuple(self._other_bases.items()):
+                if other.predictor is forecaster.base:
+                    return sha256
+        return self.base_sha256
+
+    def _compute_radius(
+        self, coverage: float, base_sha256: str
+    ) -> Float32[np.ndarray, "horizon joint"] | None:
+        other = self._other_bases.get(base_sha256)
+        table = self._table if other is None else other.radius
+        if table is None or not 0 < coverage <= table.levels[-1]:
             return None
-        return self._table.radius(coverage)
+        return table.radius(coverage)
 
     def _compute(
         self, given: Float[Tensor, "batch observe 20 3"], forecasters: Sequence[Forecaster | None]
     ) -> list[Outcome]:
-        """Compute one part of a batch: everybody behind the base's encoder, or one forecaster."""
+        """Compute one part of a batch: everybody behind one base's encoder, or one forecaster."""
         first = next((one for one in forecasters if one is not None), None)
-        if isinstance(first, PersonalDecoder) and first.base is self._base:
+        if isinstance(first, PersonalDecoder):
             return _forecast_mixed(first, given, forecasters)
         displacement = _to_displacement((first or self._base)(given), given)
         return [Computed(one, share=float(first is not None)) for one in displacement]
@@ -172,12 +214,12 @@ class Decoders:
     def _split(self, forecasters: Sequence[Forecaster | None]) -> list[list[int]]:
         """Split a batch into the rows that are computed together.
 
-        The base and what runs behind its encoder are one part; any other forecaster has its own.
+        A base and what runs behind its encoder are one part; any other forecaster has its own.
         """
         parts: dict[int, list[int]] = {}
         for row, one in enumerate(forecasters):
-            shares = one is None or (isinstance(one, PersonalDecoder) and one.base is self._base)
-            parts.setdefault(0 if shares else id(one), []).append(row)
+            net = one.base if isinstance(one, PersonalDecoder) else one or self._base
+            parts.setdefault(id(net), []).append(row)
         return list(parts.values())
 
 

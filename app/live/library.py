@@ -8,6 +8,7 @@ import asyncio
 import time
 from collections import OrderedDict
 from collections.abc import Collection, Iterable
+from functools import partial
 from uuid import UUID
 from weakref import WeakValueDictionary
 
@@ -120,7 +121,7 @@ class Library:
         if active.sha256 is None:
             return Choice(self._decoders.resolve("active"), reason=reason)
         try:
-            forecaster = await self._load(active.sha256)
+            forecaster = await self._load(active.sha256, active.base_sha256)
         except _UNUSABLE:
             missing = self._decoders.stamp_base("active", fallback="weights_missing")
             previous = await self._load_previous(user_uuid)
@@ -138,7 +139,7 @@ class Library:
         if previous.sha256 is None:
             return None
         try:
-            forecaster = await self._load(previous.sha256)
+            forecaster = await self._load(previous.sha256, previous.base_sha256)
         except _UNUSABLE:
             return None
         stamp = VersionStamp(
@@ -150,7 +151,7 @@ class Library:
         try:
             async with self.database.read() as tx:
                 version = await versions.get(tx, user_uuid, number)
-            forecaster = await self._load(version.sha256)
+            forecaster = await self._load(version.sha256, version.base_sha256)
         except UnknownVersionError as error:
             raise VersionUnavailableError(error.message) from None
         except _UNUSABLE as error:
@@ -159,8 +160,8 @@ class Library:
         stamp = VersionStamp(number, "personal", version.sha256, requested=number, share=1.0)
         return Choice(stamp, forecaster)
 
-    async def _load(self, sha256: str) -> Forecaster:
-        """Give a decoder, from the database if it is not there yet.
+    async def _load(self, sha256: str, base_sha256: str | None) -> Forecaster:
+        """Give a decoder behind its base, both from the database if they are not there yet.
 
         Raises:
             UnusableWeightsError, WeightsPurgedError, WeightsDamagedError: it cannot be used.
@@ -172,7 +173,7 @@ class Library:
                 return self._loaded[sha256]
             self._refuse_what_failed(sha256)
             try:
-                forecaster = await self._fetch(sha256)
+                forecaster = await self._fetch(sha256, base_sha256)
             except _UNUSABLE as error:
                 self._failed_at[sha256] = time.monotonic()
                 log.warning("weights cannot be used", sha256=sha256, why=str(error))
@@ -183,10 +184,13 @@ class Library:
                 self._loaded.popitem(last=False)
             return forecaster
 
-    async def _fetch(self, sha256: str) -> Forecaster:
+    async def _fetch(self, sha256: str, base_sha256: str | None) -> Forecaster:
+        build = partial(self._decoders.build, base_sha256=base_sha256)
         async with self.database.read() as tx:
             blob = await weights.get(tx, sha256)
-        return await asyncio.to_thread(self._decoders.build, blob)
+            if base_sha256 is not None and not self._decoders.has_base(base_sha256):
+                build = partial(build, base=await weights.get(tx, base_sha256))
+        return await asyncio.to_thread(build, blob)
 
     def _refuse_what_failed(self, sha256: str) -> None:
         failed_at = self._failed_at.get(sha256)

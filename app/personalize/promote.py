@@ -13,8 +13,12 @@ from app.storage import results, trials, users, versions, weights
 from app.storage.results import Result
 
 
-async def prepare_task(tx: AsyncSession, held: Claim, *, base: bytes, threads: int) -> Task:
+async def prepare_task(
+    tx: AsyncSession, held: Claim, *, base: bytes, base_sha256: str, threads: int
+) -> Task:
     """Read what a run starts from.
+
+    The active version may run on an older base; then it comes with that one, to be compared with.
 
     Raises:
         UnknownUserError: they were erased.
@@ -25,19 +29,24 @@ async def prepare_task(tx: AsyncSession, held: Claim, *, base: bytes, threads: i
         TaskClip(str(clip.trial_id), clip.info.ordinal, clip.info.action, list(clip.chunks))
         async for clip in trials.iterate_clips(tx, held.trials)
     ]
+    blob, old_base = await _read_weights(tx, active.sha256), None
+    if blob is not None and active.base_sha256 != base_sha256:
+        old_base = await _read_weights(tx, active.base_sha256)
+        blob = None if old_base is None else blob
     return Task(
         skeleton=user.skeleton,
         up=user.up,
         clips=clips,
         base=base,
-        active=await _read_weights(tx, active.sha256),
+        active=blob,
         parent=active.number,
         threads=threads,
+        active_base=old_base,
     )
 
 
 async def _read_weights(tx: AsyncSession, sha256: str | None) -> bytes | None:
-    """Read the active version; one whose weights are gone or damaged is nothing to compare with."""
+    """Read weights; what is gone or damaged is nothing to compare with."""
     if sha256 is None:
         return None
     with suppress(WeightsPurgedError, WeightsDamagedError):

@@ -41,6 +41,7 @@ class Task(msgspec.Struct):
         active: weights of the active version, None for the base.
         parent: its number, 0 for the base.
         threads: for arithmetic.
+        active_base: the base that the active version runs on, as its file; None for `base`.
     """
 
     skeleton: str
@@ -50,6 +51,7 @@ class Task(msgspec.Struct):
     active: bytes | None
     parent: int
     threads: int
+    active_base: bytes | None = None
 
 
 class FoundFlaw(msgspec.Struct):
@@ -86,11 +88,13 @@ class Lesson:
         base: the base model, as its file.
         active: weights of the active version, None for the base.
         clips: good clips in the net's skeleton, `trial` naming their trial, oldest trial first.
+        active_base: the base that the active version runs on, as its file; None for `base`.
     """
 
     base: bytes
     active: bytes | None
     clips: tuple[Clip, ...]
+    active_base: bytes | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +127,8 @@ def run_task(task: Task, trainer: Trainer, report: Report) -> Outcome:
         for clip, found in zip(task.clips, checked, strict=True)
         if found.flaw is not None
     ]
-    lesson = Lesson(task.base, task.active, tuple(_to_clips(task.clips, checked)))
+    clips = tuple(_to_clips(task.clips, checked))
+    lesson = Lesson(task.base, task.active, clips, task.active_base)
     if not lesson.clips:
         return Outcome(Verdict.TOO_LITTLE_DATA, _explain_nothing(flaws), None, {}, flaws)
     report({"phase": "training", "clips": len(lesson.clips)})

@@ -5,32 +5,47 @@ Working on jobs is in `app.storage.leases`.
 
 from collections.abc import Sequence
 from datetime import datetime
+from typing import Any
 from uuid import UUID
 
-from sqlalchemy import exists, select, text, update
+from sqlalchemy import case, exists, select, text, update
 from sqlalchemy.ext.asyncio import AsyncSession
 
 from app.domain.errors import JobQueuedError, UnknownJobError
 from app.domain.events import Action
 from app.domain.jobs import Job, JobReason, JobState
 from app.domain.pagination import Cursor, Page
+from app.domain.trials import TrialState
+from app.domain.versions import VersionState
 from app.storage import audit
 from app.storage.announcements import Topic, announce
 from app.storage.dialects import upsert
 from app.storage.paging import page_query
-from app.storage.tables import JobRow, UserRow
+from app.storage.tables import JobRow, TrialRow, UserRow, VersionRow
 from app.storage.versions import lock_user
 
 _QUEUED = text("state = 'queued'")
 
 
 async def enqueue(
-    tx: AsyncSession, user_uuid: UUID, *, reason: JobReason, requested_by: UUID | None
+    tx: AsyncSession,
+    user_uuid: UUID,
+    *,
+    reason: JobReason,
+    requested_by: UUID | None,
+    base_sha256: str | None = None,
 ) -> UUID:
     """Ask for a job over all trials that will be stored when it starts; gives its id.
 
     Where one waits already, that one will do: ten trials in a burst are one job. This locks it
     until the end of the transaction, so that no worker starts it without what is stored here.
+
+    Args:
+        tx: a transaction for writing.
+        user_uuid: whose.
+        reason: why; one that waits only because of a new base takes this one over.
+        requested_by: the key that asks, None for the service itself.
+        base_sha256: the base that it must be fitted on, None for that of whichever worker.
     """
     row = {
         "user_uuid": user_uuid,
@@ -38,15 +53,20 @@ async def enqueue(
         "reason": reason,
         "explicit": False,
         "trials": None,
+        "base_sha256": base_sha256,
         "requested_by": requested_by,
     }
+    is_refit = JobRow.reason == JobReason.NEW_BASE
+    change: dict[str, Any] = {"reason": case((is_refit, reason.value), else_=JobRow.reason)}
+    if base_sha256 is not None:
+        change["base_sha256"] = base_sha256
     job_id: UUID = await upsert(
         tx,
         JobRow,
         row,
         on=("user_uuid", "explicit"),
         where=_QUEUED,
-        change={"state": JobState.QUEUED},
+        change=change,
         returning="id",
     )
     announce(tx, Topic.JOBS)
@@ -77,6 +97,57 @@ async def enqueue_explicit(
     await tx.flush()
     announce(tx, Topic.JOBS)
     return row.id
+
+
+async def enqueue_refits(tx: AsyncSession, base_sha256: str, *, limit: int) -> int:
+    """Ask for a job for those whose active version runs on another base; once for each base.
+
+    Args:
+        tx: a transaction for writing.
+        base_sha256: the base that everybody is to be fitted on from now on.
+        limit: most users at a time.
+
+    Returns:
+        For how many users this was done; fewer than `limit`: for everybody.
+    """
+    done = UserRow.refitted_for.is_not_distinct_from(base_sha256)
+    other = exists().where(
+        VersionRow.user_uuid == UserRow.uuid,
+        VersionRow.state == VersionState.ACTIVE,
+        VersionRow.base_sha256 != base_sha256,
+    )
+    recorded = exists().where(
+        TrialRow.user_uuid == UserRow.uuid, TrialRow.state == TrialState.STORED
+    )
+    chosen = (
+        select(UserRow)
+        .where(~done, other, recorded)
+        .order_by(UserRow.created_at)
+        .limit(limit)
+        .with_for_update(skip_locked=True, key_share=True)
+    )
+    users = list(await tx.scalars(chosen))
+    for user in users:
+        user.refitted_for = base_sha256
+        await enqueue(
+            tx,
+            user.uuid,
+            reason=JobReason.NEW_BASE,
+            requested_by=None,
+            base_sha256=base_sha256,
+        )
+    return len(users)
+
+
+async def want_base(tx: AsyncSession, base_sha256: str) -> None:
+    """Have jobs that wait for another base fitted on this one: that base may never come back."""
+    await tx.execute(
+        update(JobRow)
+        .where(JobRow.state.in_((JobState.QUEUED, JobState.RUNNING)))
+        .where(JobRow.base_sha256 != base_sha256)
+        .values(base_sha256=base_sha256)
+        .execution_options(synchronize_session=False)
+    )
 
 
 async def get(tx: AsyncSession, job_id: UUID) -> Job:

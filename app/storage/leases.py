@@ -36,7 +36,14 @@ async def read_clock(tx: AsyncSession) -> datetime:
     return moment
 
 
-async def claim(tx: AsyncSession, *, owner: str, lease: timedelta, now: datetime) -> Claim | None:
+async def claim(
+    tx: AsyncSession,
+    *,
+    owner: str,
+    lease: timedelta,
+    now: datetime,
+    base_sha256: str | None = None,
+) -> Claim | None:
     """Take the next job: one whose worker is gone, else by `app.domain.jobs.fair_order`.
 
     A job is taken over in place. Back in the queue it could meet the next one of its user.
@@ -46,12 +53,13 @@ async def claim(tx: AsyncSession, *, owner: str, lease: timedelta, now: datetime
         owner: who asks, for people.
         lease: how long the job is theirs without a sign of life.
         now: by `read_clock`.
+        base_sha256: the base that they fit on; jobs that are for another one are not theirs.
 
     Returns:
         None where there is nothing to do, or another worker was faster.
     """
     await _end_hopeless(tx, now)
-    found = (await tx.execute(_next_query(now))).first()
+    found = (await tx.execute(_next_query(now, base_sha256))).first()
     if found is None:
         return None
     row, user = found
@@ -217,17 +225,19 @@ async def _end_hopeless(tx: AsyncSession, now: datetime) -> None:
     )
 
 
-def _next_query(now: datetime) -> Any:  # noqa: ANN401 - SQLAlchemy's row of two
+def _next_query(now: datetime, base_sha256: str | None) -> Any:  # noqa: ANN401 - rows of two
     """Ask for the next job with its user, past those that another worker is about to take."""
     other = aliased(JobRow)
     busy = exists().where(other.user_uuid == JobRow.user_uuid, other.state == JobState.RUNNING)
     orphaned = (JobRow.state == JobState.RUNNING) & (JobRow.lease_until <= now)
+    wanted = or_(JobRow.base_sha256.is_(None), JobRow.base_sha256 == base_sha256)
     return (
         select(JobRow, UserRow)
         .join(UserRow, UserRow.uuid == JobRow.user_uuid)
-        .where(or_(orphaned, (JobRow.state == JobState.QUEUED) & ~busy))
+        .where(or_(orphaned, (JobRow.state == JobState.QUEUED) & ~busy), wanted)
         .order_by(
             case((JobRow.state == JobState.RUNNING, 0), else_=1),
+            case((JobRow.reason == JobReason.NEW_BASE, 1), else_=0),
             UserRow.served_at.asc().nulls_first(),
             JobRow.created_at,
             JobRow.id,

@@ -110,6 +110,7 @@ class UserRow(Base):
     auto_promote: Mapped[bool] = mapped_column(default=True, server_default=true())
     last_version: Mapped[int] = mapped_column(default=0, server_default=text("0"))
     served_at: Mapped[datetime | None]
+    refitted_for: Mapped[str | None] = mapped_column(String(64))
 
 
 class KeyRow(Base):
@@ -263,6 +264,7 @@ class JobRow(Base):
     started_at: Mapped[datetime | None]
     finished_at: Mapped[datetime | None]
     version: Mapped[int | None]
+    base_sha256: Mapped[str | None] = mapped_column(String(64))
 
 
 class WeightsRow(Base):

@@ -95,7 +95,13 @@ class Worker:
         try:
             async with self._database.write() as tx:
                 now = await leases.read_clock(tx)
-                return await leases.claim(tx, owner=self._rules.owner, lease=self._lease, now=now)
+                return await leases.claim(
+                    tx,
+                    owner=self._rules.owner,
+                    lease=self._lease,
+                    now=now,
+                    base_sha256=self._rules.base_sha256,
+                )
         except NotReadyError as error:
             log.warning("no job can be claimed", why=error.message)
             return None
@@ -117,7 +123,13 @@ class Worker:
 
     async def _prepare(self, held: Claim) -> Task:
         async with self._database.read() as tx:
-            return await prepare_task(tx, held, base=self._rules.base, threads=self._rules.threads)
+            return await prepare_task(
+                tx,
+                held,
+                base=self._rules.base,
+                base_sha256=self._rules.base_sha256,
+                threads=self._rules.threads,
+            )
 
     async def _attend(self, held: Claim, trainee: Trainee) -> "Outcome | Hold | str | None":
         """Wait for the end of the training, and keep the lease meanwhile.

@@ -1,13 +1,31 @@
-"""How a worker gets its rules from the settings."""
+"""How a worker gets its rules from the settings, and its base into the database."""
 
 import hashlib
 
+import structlog
+
 from app.domain.errors import StartError
 from app.settings import Settings
-from app.storage import weights
+from app.storage import jobs, weights
 from app.storage.database import Database
 from app.worker.loop import WorkerRules
 from models.checkpoint import SHIPPED
+
+REFITS_AT_A_TIME = 100
+
+log = structlog.get_logger(__name__)
+
+
+def read_base(settings: Settings) -> bytes:
+    """Read the base model, as its file.
+
+    Raises:
+        StartError: it cannot be read.
+    """
+    try:
+        return (settings.model or SHIPPED).read_bytes()
+    except OSError as error:
+        raise StartError(f"The base model cannot be loaded: {error}.") from error
 
 
 def make_rules(settings: Settings, *, owner: str) -> WorkerRules:
@@ -16,10 +34,7 @@ def make_rules(settings: Settings, *, owner: str) -> WorkerRules:
     Raises:
         StartError: the base model cannot be read.
     """
-    try:
-        base = (settings.model or SHIPPED).read_bytes()
-    except OSError as error:
-        raise StartError(f"The base model cannot be loaded: {error}.") from error
+    base = read_base(settings)
     return WorkerRules(
         owner=owner,
         base=base,
@@ -34,8 +49,31 @@ def make_rules(settings: Settings, *, owner: str) -> WorkerRules:
     )
 
 
-async def store_base(database: Database, rules: WorkerRules) -> None:
-    """Keep the base beside the versions that run on it."""
+async def store_base(database: Database, base: bytes) -> None:
+    """Keep a base beside the versions that run on it, for as long as there may be one."""
+    sha256 = hashlib.sha256(base).hexdigest()
+    async with database.read() as tx:
+        if await weights.has(tx, sha256):
+            return
     async with database.write() as tx:
-        if not await weights.has(tx, rules.base_sha256):
-            await weights.put(tx, rules.base, kind="base")
+        await weights.put(tx, base, kind="base")
+
+
+async def ask_for_refits(database: Database, base_sha256: str) -> int:
+    """Ask for jobs for everybody whose active version runs on another base than this one.
+
+    Every replica may: a user is asked for once.
+
+    Returns:
+        How many users that were.
+    """
+    async with database.write() as tx:
+        await jobs.want_base(tx, base_sha256)
+    total, count = 0, REFITS_AT_A_TIME
+    while count == REFITS_AT_A_TIME:
+        async with database.write() as tx:
+            count = await jobs.enqueue_refits(tx, base_sha256, limit=REFITS_AT_A_TIME)
+        total += count
+    if total:
+        log.info("a new base: versions are fitted again", base_sha256=base_sha256, users=total)
+    return total

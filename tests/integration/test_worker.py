@@ -197,6 +197,6 @@ async def test_user_erased_during_a_job_leaves_nothing(database):
 async def test_base_is_stored_once(database):
     rules = WorkerRules(owner="test", base=b"base", base_sha256="wrong on purpose")
     for _ in range(2):
-        await store_base(database, rules)
+        await store_base(database, rules.base)
     async with database.read() as tx:
         assert await tx.scalar(text("SELECT count(*) FROM weights WHERE kind = 'base'")) == 1

@@ -12,6 +12,7 @@ from app.domain.jobs import (
     LONGEST_RETRY_S,
     MAX_ATTEMPTS,
     MOVES,
+    JobReason,
     JobState,
     fair_order,
     retry_after,
@@ -104,3 +105,12 @@ def test_one_busy_user_gets_every_nth_turn(users):
         served[user] = NOW + timedelta(seconds=turn)
         turns.append(user)
     assert turns.count(busy) == 4
+
+
+def test_who_is_fitted_again_for_a_new_base_holds_nobody_up():
+    waits = fair_order(
+        served_at=None, created_at=NOW, job_id=UUID(int=1), reason=JobReason.NEW_BASE
+    )
+    later = NOW + timedelta(days=1)
+    records = fair_order(served_at=later, created_at=later, job_id=UUID(int=2))
+    assert records < waits
