@@ -78,7 +78,9 @@ def test_values_that_no_sensor_gives_are_refused(value: float) -> None:
 
 
 @pytest.mark.parametrize(
-    "content", [b"", b"hello", GOOD[:100], GOOD[:-50], b"\x89HDF\r\n\x1a\n" * 40]
+    "content",
+    [b"", b"hello", GOOD[:100], GOOD[:-50], b"\x89HDF\r\n\x1a\n" * 40],
+    ids=["empty", "text", "header", "cut", "hdf"],  # a header holds the time of its writing
 )
 def test_damaged_files_are_refused_by_name(content: bytes) -> None:
     with pytest.raises(RecordingError, match=r"^clip 7: "):
