@@ -24,6 +24,8 @@ STALL_S = 5.0
 """A client that takes nothing for this long is given up."""
 LEAVE_S = 2.0
 """Longest wait for the last messages to leave."""
+READ_OUT_S = 1.0
+"""Longest wait for what a client sent before it left to be read: it may have stopped a trial."""
 SETTLE_S = 4.0
 """Longest wait for the last frames of a recording to be stored."""
 
@@ -106,8 +108,10 @@ class Connection:
         tasks = (self._writer, reader, scribe)
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-            if self._outbox.ending is not None and not self._writer.done():
+            if self._outbox.ending is not None:
                 await asyncio.wait({self._writer}, timeout=LEAVE_S)
+            elif self._writer.done() and not self._writer.cancelled():
+                await asyncio.wait({reader}, timeout=READ_OUT_S)
         finally:
             self._slot.close()
             self._writer.cancel()

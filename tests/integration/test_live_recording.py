@@ -12,8 +12,11 @@ import pytest
 from app.domain.recordings import RawFrames, unpack_frames
 from app.settings import Settings
 from app.storage import jobs, trials, users
+from app.storage.tables import utc_now
 from tests.live_support import BOTH, RealServer, StreamClient, serve
+from tests.personal_support import claim, finish
 from tests.support import open_database, watch_person
+from tests.versions import BASE_SHA256, dump, make_net, make_net_decoders, make_personal
 
 pytestmark = pytest.mark.asyncio
 PERSON = watch_person(6.0)
@@ -222,6 +225,30 @@ async def test_a_server_that_drains_stores_what_it_has(settings) -> None:
             assert (await client.expect_close())[0] == 1001
     found, _ = await read_trial(settings, trial)
     assert (found.state, found.frames) == ("recording", 15)
+
+
+async def test_the_version_that_a_recording_makes_arrives_on_its_stream(settings) -> None:
+    base = make_net()
+    mine = make_personal(base, 1)
+    with serve(settings, make_net_decoders(base)) as server:
+        server.add_user()
+        async with server.stream() as client, open_database(settings) as database:
+            await begin(client)
+            await show(client, range(40))
+            told = await stop(client)
+            held = await claim(database, now=utc_now(), base_sha256=BASE_SHA256)
+            await finish(database, held, now=utc_now(), blob=dump(mine), base_sha256=BASE_SHA256)
+            heard = {}
+            while "version" not in heard or heard["job"]["state"] != "succeeded":
+                message = await client.expect("job", "version")
+                heard[message["type"]] = message
+            await show(client, range(40, 60))
+            forecast = await client.expect("forecast")
+    version, job = heard["version"], heard["job"]
+    assert job["id"] == told["job"]["id"]
+    assert job["metrics"] == {"before": [1.0], "after": [0.5]}
+    assert (version["version"]["number"], version["reason"]) == (1, "promoted")
+    assert forecast["version"]["sha256"] == version["version"]["sha256"]
 
 
 async def test_every_open_stream_of_the_person_hears_of_the_job(server, settings) -> None:
