@@ -6,6 +6,7 @@ from app.domain.errors import KinecastError, TooManyErrorsError
 from app.live.accounting import ErrorBudget
 from app.live.actions import Action, End, Send, describe
 from app.live.frames import SNAP_S
+from app.live.protocol import ErrorMessage
 from app.live.telemetry import Telemetry
 
 REPEAT_S = 1.0
@@ -38,6 +39,13 @@ class Complaints:
         """Tell of an error that is nobody's mistake."""
         self._telemetry.count_error(error.code)
         return Send(describe(error, seq))
+
+    def count(self, actions: list[Action]) -> list[Action]:
+        """Count the errors that somebody else wants to tell."""
+        for action in actions:
+            if isinstance(action, Send) and isinstance(action.message, ErrorMessage):
+                self._telemetry.count_error(action.message.code)
+        return actions
 
     def is_time(self, what: str, now: float, *, is_news: bool) -> bool:
         """Tell whether to say a thing that lasts (again)."""

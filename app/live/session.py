@@ -228,13 +228,13 @@ class Session:
         if late is not None:
             need_s = self._buffer.rules.complete_s
             actions.append(Send(WaitingMessage(late.seq, late.t, "overloaded", need_s, need_s)))
-        return [*actions, *self.recorder.tick(now)]
+        return [*actions, *self._complaints.count(self.recorder.tick(now))]
 
     def wrote(self, outcome: Outcome | KinecastError, now: float) -> list[Action]:
         """Take note of what came of a step of the recording."""
         if isinstance(outcome, KinecastError):
-            return self.recorder.failed(outcome, now)
-        return self.recorder.wrote(outcome, now)
+            return self._complaints.count(self.recorder.failed(outcome, now))
+        return self._complaints.count(self.recorder.wrote(outcome, now))
 
     def _control(self, message: Control, now: float) -> list[Action]:
         """Take a message that is no frame."""
@@ -261,7 +261,7 @@ class Session:
         self._buffer.clear()
         self._ledger.forget()
         self._waiting = None
-        return self.recorder.cut(now)
+        return self._complaints.count(self.recorder.cut(now))
 
     def _record(self, message: Recording, now: float) -> list[Action]:
         if not self._who.may_record:
@@ -289,7 +289,8 @@ class Session:
             self._clock.restart()
             self._ledger.forget()
         answers = [] if frame.replay else self._respond(frame, now)
-        return [*answers, *self.recorder.record(frame, now, anew=restart is not None)]
+        told = self.recorder.record(frame, now, anew=restart is not None)
+        return [*answers, *self._complaints.count(told)]
 
     def _respond(self, frame: Observation, now: float) -> list[Action]:
         """Have a frame forecast, or say why not."""

@@ -101,6 +101,33 @@ class Error(_Said, tag="error"):
     seq: int | None = None
 
 
+class VersionChanged(_Said, tag="version"):
+    """Other weights answer from now on."""
+
+    version: Version
+    reason: str = ""
+
+
+class Trial(_Said, tag="trial"):
+    """How a recording stands; `job` comes with its end."""
+
+    state: str
+    trial: str
+    clip: int | None = None
+    stored_seq: int | None = None
+    clips_dropped: int = 0
+    job: dict[str, Any] | None = None
+
+
+class Job(_Said, tag="job"):
+    """How a fine-tuning job stands."""
+
+    id: str
+    state: str
+    progress: dict[str, Any] | None = None
+    metrics: dict[str, Any] | None = None
+
+
 class Bye(_Said, tag="bye"):
     """The server is about to close the stream."""
 
@@ -172,8 +199,9 @@ class Other:
     fields: dict[str, Any]
 
 
-Message = Hello | Forecast | Waiting | Configured | Pong | Ping | Error | Bye | Other
-_Known = Hello | _WireForecast | Waiting | Configured | Pong | Ping | Error | Bye
+_Plain = Hello | VersionChanged | Trial | Job | Waiting | Configured | Pong | Ping | Error | Bye
+Message = _Plain | Forecast | Other
+_Known = _Plain | _WireForecast
 
 
 class Wire:

@@ -12,6 +12,7 @@ from app.commands.client.errors import ClosedError, SilenceError, UnreachableErr
 from app.commands.client.messages import Error, Forecast, Hello, Version, Waiting
 from app.commands.client.stream import Stream, open_stream
 from app.commands.demo.scores import Scores
+from app.commands.demo.trials import Rehearsals
 from models.data.synthetic import SensorNoise, SyntheticPerson
 
 RATE_HZ = 30.0
@@ -41,6 +42,7 @@ class Report:
     reconnects: int = 0
     problem: str = ""
     scores: Scores = field(default_factory=Scores)
+    trials: Rehearsals = field(default_factory=Rehearsals)
 
 
 class Performer:
@@ -123,6 +125,7 @@ class Performer:
             self.report.action, pose = self._invented.pop(0)
             self._due[self._seq] = due
             self.report.scores.see(self._seq, pose)
+            await self.report.trials.before_frame(stream, self._seq, self.report.action)
             await stream.send_frame(self._seq, due, pose)
             self._seq += 1
             self.report.sent += 1
@@ -138,6 +141,7 @@ class Performer:
     async def _receive(self, stream: Stream) -> None:
         async for message in stream.messages(silence_s=SILENCE_S):
             report = self.report
+            report.trials.hear(message, self._seq)
             match message:
                 case Forecast():
                     self._note_forecast(message)
@@ -168,4 +172,5 @@ class Performer:
         report.state, report.problem = f"lost: {reason}", reason
         report.reconnects += 1
         report.scores.forget()
+        report.trials.lose(self._seq)
         self._due.clear()

@@ -75,6 +75,8 @@ def to_figures(report: Report) -> dict[str, Any]:
         "skipped": report.skipped,
         "errors": report.refused,
         "reconnects": report.reconnects,
+        "trials": report.trials.recorded,
+        "jobs": report.trials.jobs,
         "error_cm": errors,
         "latency_ms": {"p50": _number(p50), "p99": _number(p99)},
         "version": None
@@ -139,7 +141,8 @@ def _say_state(report: Report) -> str:
     if report.state != "streaming":
         return report.state
     severe = [flag for flag in report.quality if flag != "uncalibrated"]
-    return " ".join([report.severity or "streaming", *severe])
+    doing = [report.trials.told] if report.trials.told else []
+    return " ".join([report.severity or "streaming", *doing, *severe])
 
 
 def _name_weights(report: Report) -> str:
