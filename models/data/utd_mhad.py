@@ -41,6 +41,7 @@ _MAT_ERRORS = (
     OverflowError,
     MemoryError,
     NotImplementedError,
+    UnboundLocalError,  # scipy's, for arrays of a kind that it does not know
     zlib.error,
 )
 

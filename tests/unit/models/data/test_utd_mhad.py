@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.io
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from models.data import utd_mhad
@@ -88,6 +88,7 @@ def test_damaged_files_are_refused_by_name(content: bytes) -> None:
 
 
 @settings(max_examples=60, deadline=None)
+@example(place=144, change=16, compressed=False)
 @given(st.integers(0, len(GOOD) - 1), st.integers(1, 255), st.booleans())
 def test_no_damage_escapes_as_another_error(place: int, change: int, compressed: bool) -> None:
     content = bytearray(GOOD if compressed else mat(SKELETON, compressed=False))
