@@ -7,6 +7,7 @@ import socket
 import subprocess
 import time
 from contextlib import asynccontextmanager
+from uuid import UUID
 
 import pytest
 import pytest_asyncio
@@ -17,11 +18,14 @@ from app.domain.jobs import JobState
 from app.storage import announcements, keys, users, versions
 from app.storage.announcements import Announcements, Topic, announce
 from tests.integration.test_worker import add_job, running, wait_for
+from tests.live_support import serve
 from tests.personal_support import add_key, add_trial, add_user, claim, enqueue, finish
 from tests.support import make_settings, open_database
+from tests.versions import add_version, make_net, make_net_decoders, make_personal
 
 pytestmark = pytest.mark.asyncio
 NEVER_S = 30.0
+NET = make_net()
 
 
 class OwnRedis:
@@ -244,6 +248,21 @@ async def test_worker_far_away_starts_a_job_long_before_it_polls(redis, settings
             await asyncio.sleep(0.2)  # it has looked, and found nothing
             _, _, job_id = await add_job(near)
             await wait_for(near, job_id, lambda job: job.state is JobState.SUCCEEDED)
+
+
+async def test_replica_far_away_sees_news_long_before_it_looks(redis, settings):
+    lazy = settings.model_copy(update={"redis_url": redis.url, "watch_s": NEVER_S})
+    with serve(lazy, make_net_decoders(NET)) as replica:
+        replica.add_user()
+        key = replica.add_key("predict")
+        await until(lambda: replica.call("GET", "/readyz").json()["hints"] == "on")
+        async with open_database(lazy) as near, replica.stream(key=key["key"]) as client:
+            version = await add_version(near, "ada", make_personal(NET, 1))
+            told = await client.expect("version", within_s=10)
+            assert told["version"]["number"] == version.number
+            async with near.write() as tx:
+                await keys.revoke(tx, UUID(key["id"]), actor=None)
+            assert (await client.expect_close(within_s=10))[0] == 4401
 
 
 async def test_nothing_is_lost_when_redis_dies(redis, tmp_path):
