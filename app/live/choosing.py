@@ -1,6 +1,7 @@
 """Which weights a stream's forecasts come from, and what has to be said when they change."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from dataclasses import replace
 
 from app.domain.motion import RequestedVersion, VersionStamp
 from app.live.work import Choice
@@ -38,6 +39,13 @@ class Chooser:
         if self._pinned is not None and self._pinned.stamp.requested == requested:
             return self._pinned
         return Choice(self._resolve(requested))
+
+    def choose_for(self, flags: Collection[str], requested: RequestedVersion) -> Choice:
+        """Tell what answers a window with these flags: the base, where somebody else is seen."""
+        choice = self.choose(requested)
+        if requested != "active" or choice.forecaster is None or "not_this_person" not in flags:
+            return choice
+        return Choice(replace(self._resolve("active"), fallback="guard"))
 
     def pin(self, choice: Choice) -> None:
         """Take a pinned version that was loaded, before it is asked for."""

@@ -7,6 +7,7 @@ a forecast, counted in `skipped` or `not_due`, or covered by a `waiting` or an `
 import dataclasses
 from collections.abc import Callable
 
+import numpy as np
 from msgspec import UNSET
 from msgspec.structs import replace
 
@@ -300,6 +301,8 @@ class Session:
         self._unit_was_wrong = False
         if age_ms > self.settings.max_age_ms:  # first, so that a backlog is soon worked off
             return self._tell_stale(frame.seq, age_ms)
+        bones = self.weights.choose(self.settings.version).bones
+        self._buffer.likeness.known = None if bones is None else np.array(bones)
         outcome = self._buffer.look()
         if isinstance(outcome, Waiting):
             return self._wait(frame, outcome, now)
@@ -332,7 +335,7 @@ class Session:
 
     def _submit(self, ticket: Ticket) -> Submit:
         wanted = self.settings
-        choice = self.weights.choose(wanted.version)
+        choice = self.weights.choose_for(ticket.ready.flags, wanted.version)
         request = EngineRequest(ticket.ready.window, wanted.version, wanted.coverage, choice)
         return Submit(request, ticket)
 

@@ -90,6 +90,7 @@ class FrameBuffer:
         self._joints = len(skeleton.joints)
         self._root_relative = root_relative or skeleton.root_relative
         self._history = History(skeleton, up=up, rules=self.rules)
+        self.likeness = guard.Likeness(self.rules.guard)
         self._grid = -np.arange(self.spec.observe - 1, -1, -1) / self.spec.rate_hz
         self._steps: deque[float] = deque(maxlen=_STEPS)
         self._last_t: float | None = None
@@ -98,6 +99,7 @@ class FrameBuffer:
     def clear(self, reason: WaitReason = "warm_up") -> None:
         """Forget the person, for instance after a jump of the frame of reference."""
         self._history.clear()
+        self.likeness.clear()
         self._reason = reason
         self._unsure = False
         self._identical = 0
@@ -218,6 +220,9 @@ class FrameBuffer:
         share = np.where(past > SNAP_S, past / step, 0.0)[:, None, None]
         return np.asarray(poses[left] + share * (poses[right] - poses[left]))
 
+    def _give_poses(self, first: int) -> Float[np.ndarray, "recent 20 3"]:
+        return self._history.to_net(self._history.poses[first:])
+
     def _list_flags(
         self, window: Float[np.ndarray, "15 20 3"], *, filled: bool, whole: bool
     ) -> tuple[str, ...]:
@@ -233,6 +238,7 @@ class FrameBuffer:
                 window, rate_hz=self.spec.rate_hz, rules=rules
             ),
             "root_relative": self._root_relative,
+            "not_this_person": self.likeness.look(times, self._give_poses),
         }
         body = guard.judge_body(self._history.facts, times, rules=rules, whole=whole)
         return tuple(dict.fromkeys([*(flag for flag in flags if flags[flag]), *body]))

@@ -19,12 +19,15 @@ class Choice:
         reason: why it is in use since lately.
         previous: what answers where this fails, loaded once that is known to happen; the base is
             behind every personal version anyway.
+        bones: of the person that it was made for, as `app.domain.body.measure_bones` gives them;
+            None if that is not known. The base answers whoever looks like somebody else.
     """
 
     stamp: VersionStamp
     forecaster: Forecaster | None = None
     reason: str = ""
     previous: "Choice | None" = None
+    bones: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)
