@@ -1,6 +1,7 @@
 """Fine-tuning jobs: asked for, listed, watched, called off."""
 
 from collections.abc import AsyncIterator
+from time import monotonic
 from typing import Annotated
 from uuid import UUID
 
@@ -143,18 +144,17 @@ async def _get(database: Database, job: UUID) -> JobOut:
 async def _tell(database: Database, job: JobOut, request: Request) -> AsyncIterator[str]:
     """Write an event for each change, and a comment now and then so that nobody hangs up."""
     told: JobOut | None = None
-    silent_s, ear = 0.0, database.announcements.listen(Topic.PROGRESS)
+    said_at, ear = monotonic(), database.announcements.listen(Topic.PROGRESS)
     while True:
         if job != told:
             yield f"event: job\ndata: {job.model_dump_json()}\n\n"
-            told, silent_s = job, 0.0
+            told, said_at = job, monotonic()
         if job.state.is_final or request.app.state.draining:
             return
         await ear.wait(LOOK_EVERY_S)
-        silent_s += LOOK_EVERY_S
-        if silent_s >= KEEP_ALIVE_S:
+        if monotonic() - said_at >= KEEP_ALIVE_S:
             yield ": still there\n\n"
-            silent_s = 0.0
+            said_at = monotonic()
         try:
             job = await _get(database, job.id)
         except KinecastError:  # erased with its user, or no database: the client asks again
