@@ -153,7 +153,7 @@ async def test_frames_that_are_replayed_twice_are_stored_once(server, settings) 
         trial = (await begin(client))["trial"]
         await show(client, range(30))
         await expect_stored(client, 29)
-    async with server.stream(query="?session=robot") as client:
+    async with server.stream() as client:  # of no name: another session goes on
         await client.send(type="trial.resume", trial=trial)
         assert (await client.expect("trial"))["stored_seq"] == 29
         await show(client, range(20, 40), replay=True)
@@ -190,6 +190,7 @@ async def test_what_does_not_fit_is_told_and_forecasts_go_on(server) -> None:
             ({"type": "trial.stop"}, "trial_conflict"),
             ({"type": "trial.resume", "trial": str(uuid4())}, "unknown_trial"),
             ({"type": "trial.start", "trial": "mine"}, "invalid_request"),
+            ({"type": "clip.start", "action": "a\0b"}, "invalid_request"),
         ):
             await client.send(**message)
             assert (await client.expect("error"))["code"] == code
