@@ -215,12 +215,13 @@ def _restore_familiarity(
     }
     if not found:
         return None
-    if any(tensor.shape[-1:] != (continuous,) for tensor in found.values()):
-        raise CheckpointError(f"familiarity must be in a latent of {continuous} dimensions")
     try:
-        return Familiarity.restore(found, metadata["familiarity"])
+        familiarity = Familiarity.restore(found, metadata["familiarity"])
     except (KeyError, TypeError, ValueError) as error:
         raise CheckpointError(f"bad model of familiarity: {error}") from error
+    if len(familiarity.mean) != continuous:
+        raise CheckpointError(f"familiarity must be in a latent of {continuous} dimensions")
+    return familiarity
 
 
 def _restore_radius(table: Tensor, metadata: dict[str, Any], spec: MotionSpec) -> RadiusTable:

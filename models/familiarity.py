@@ -1,9 +1,10 @@
 """How much a window resembles what a personal version was trained on.
 
-The encoder is shared and frozen, so its latent z is a fixed yardstick. A version keeps a few dozen
-prototypes of its trials' windows; the distance of a window's z to the nearest of them, in units of
-the spread of these windows, becomes the share that the personal decoder has in the forecast. The
-rest is the base's: a decoder that was fitted to one motion says little about another.
+The encoder is shared and frozen, so its latent z is a fixed yardstick. A version keeps the windows
+of its trials as points in the few directions in which they differ most; the distance of a new
+window to the nearest of them, in units of their spread, becomes the share that the personal decoder
+has in the forecast. The rest is the base's: a decoder that was fitted to one motion says little
+about another.
 """
 
 from dataclasses import dataclass
@@ -13,9 +14,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-PROTOTYPES = 96
-NEAREST = 3
-_ROUNDS = 12
+DIRECTIONS = 24
+MOST_POINTS = 4096
+"""More windows than this (two minutes of motion) are thinned out evenly."""
 _SNAP = 0.01
 
 
@@ -28,8 +29,8 @@ class FamiliarityRule:
         width: how gently it falls.
     """
 
-    half: float = 0.75
-    width: float = 0.08
+    half: float = 1.3
+    width: float = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,21 +39,22 @@ class Familiarity:
 
     Attributes:
         mean: of the windows' z.
-        spread: their standard deviation, by dimension.
-        prototypes: standardised centres of the windows.
+        axes: from z to the directions in which the windows differ most, each dimension of z
+            weighted by the inverse of its spread.
+        points: the windows, along these directions.
         rule: how distance becomes a share.
     """
 
     mean: Float[Tensor, " continuous"]
-    spread: Float[Tensor, " continuous"]
-    prototypes: Float[Tensor, "prototype continuous"]
+    axes: Float[Tensor, "continuous direction"]
+    points: Float[Tensor, "point direction"]
     rule: FamiliarityRule = FamiliarityRule()
 
     @classmethod
     def fit(
         cls, z: Float[Tensor, "window continuous"], rule: FamiliarityRule | None = None
     ) -> "Familiarity":
-        """Summarise the windows of a person's trials (deterministic k-means, farthest first).
+        """Summarise the windows of a person's trials (principal components of the latent).
 
         Raises:
             ValueError: no windows.
@@ -61,14 +63,15 @@ class Familiarity:
             raise ValueError("familiarity needs at least one window")
         mean = z.mean(dim=0)
         spread = z.std(dim=0, correction=0).clamp_min(1e-3)
-        return cls(mean, spread, _find_centres((z - mean) / spread), rule or FamiliarityRule())
+        _, _, rows = torch.linalg.svd((z - mean) / spread, full_matrices=False)
+        axes = rows[:DIRECTIONS].T / spread[:, None]
+        points = ((z - mean) @ axes)[_thin_out(len(z))]
+        return cls(mean, axes.contiguous(), points, rule or FamiliarityRule())
 
     def distance(self, z: Float[Tensor, "window continuous"]) -> Float[Tensor, " window"]:
-        """Root mean square distance per dimension to the nearest prototypes, averaged over them."""
-        standard = (z - self.mean) / self.spread
-        apart = torch.cdist(standard, self.prototypes) / standard.shape[1] ** 0.5
-        nearest = apart.topk(min(NEAREST, apart.shape[1]), largest=False).values
-        return torch.mean(nearest, dim=1)
+        """Root mean square distance, per direction, to the nearest of the windows."""
+        apart = torch.cdist((z - self.mean) @ self.axes, self.points)
+        return torch.div(apart.min(dim=1).values, self.points.shape[1] ** 0.5)
 
     def share(self, z: Float[Tensor, "window continuous"]) -> Float[Tensor, " window"]:
         """Part of the personal decoder in each forecast, 0 to 1; far enough out exactly these."""
@@ -77,7 +80,7 @@ class Familiarity:
 
     def tensors(self) -> dict[str, Tensor]:
         """Give what a version's blob stores."""
-        return {"mean": self.mean, "spread": self.spread, "prototypes": self.prototypes}
+        return {"mean": self.mean, "axes": self.axes, "points": self.points}
 
     def describe(self) -> dict[str, Any]:
         """Give what a version's metadata says."""
@@ -85,24 +88,19 @@ class Familiarity:
 
     @classmethod
     def restore(cls, tensors: dict[str, Tensor], described: dict[str, Any]) -> "Familiarity":
-        """Rebuild from a blob."""
-        return cls(**tensors, rule=FamiliarityRule(**described))
+        """Rebuild from a blob.
+
+        Raises:
+            ValueError: tensors that do not belong together.
+            KeyError: one is missing.
+        """
+        mean, axes, points = tensors["mean"], tensors["axes"], tensors["points"]
+        if axes.ndim != 2 or mean.shape != axes.shape[:1] or points.shape[1:] != axes.shape[1:]:
+            raise ValueError("its parts have different sizes")
+        if not len(points):
+            raise ValueError("it knows no window")
+        return cls(mean, axes, points, FamiliarityRule(**described))
 
 
-def _find_centres(points: Float[Tensor, "window continuous"]) -> Tensor:
-    centres = _farthest_first(points, min(PROTOTYPES, len(points)))
-    for _ in range(_ROUNDS):
-        nearest = torch.cdist(points, centres).argmin(dim=1)
-        counts = torch.bincount(nearest, minlength=len(centres)).clamp_min(1)
-        sums = torch.zeros_like(centres).index_add_(0, nearest, points)
-        centres = sums / counts[:, None]
-    return centres
-
-
-def _farthest_first(points: Tensor, count: int) -> Tensor:
-    chosen = [int(points.square().sum(dim=1).argmin())]
-    apart = torch.cdist(points, points[chosen]).squeeze(1)
-    for _ in range(count - 1):
-        chosen.append(int(apart.argmax()))
-        apart = torch.minimum(apart, torch.cdist(points, points[chosen[-1:]]).squeeze(1))
-    return points[chosen]
+def _thin_out(count: int) -> Tensor:
+    return torch.linspace(0, count - 1, min(count, MOST_POINTS)).round().long()

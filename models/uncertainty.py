@@ -5,13 +5,15 @@ true joint on people whom the calibrated net had never seen. It says nothing abo
 particular, and nothing at all about a person or a sensor unlike those it was measured on.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float, Float32
 
 LEVELS = (0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 0.975, 0.99)
+_SMALLEST_M = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,3 +80,29 @@ def coverage_of(
 ) -> float:
     """Share of joints that truly lie within the radius."""
     return float(np.mean(distances <= radius))
+
+
+def fit_scale(
+    table: RadiusTable | None,
+    distances: Sequence[Float[np.ndarray, "_ horizon joint"]],
+    *,
+    coverage: float = 0.9,
+) -> float | None:
+    """Give the factor that makes a table hold for one person's held-out distances (metres).
+
+    The quantile of distance ÷ radius is the factor by which the radius has to change (split
+    conformal prediction, Lei et al. 2018). It is kept between a half and twice the table.
+
+    Args:
+        table: of the base, None where it has none.
+        distances: between forecasts and what happened, of windows that were not trained on.
+        coverage: at which the factor is to be right.
+
+    Returns:
+        None without a table or without distances.
+    """
+    parts = [part for part in distances if len(part)]
+    if table is None or not parts:
+        return None
+    radius = np.maximum(table.radius(coverage), _SMALLEST_M)
+    return float(np.clip(np.quantile(np.concatenate(parts) / radius, coverage), 0.5, 2.0))

@@ -47,10 +47,11 @@ MOVES: dict[VersionState, frozenset[VersionState]] = {
 
 
 class Verdict(StrEnum):
-    """What the judge says of a candidate."""
+    """What the judge says of a candidate; `RETURN_TO_BASE` also of what is active."""
 
     PROMOTE = "promote"
     REJECT = "reject"
+    RETURN_TO_BASE = "return_to_base"
     TOO_LITTLE_DATA = "too_little_data"
 
 
@@ -93,6 +94,7 @@ class ActivationKind(StrEnum):
     PROMOTED = "promoted"
     BY_HAND = "by_hand"
     ROLLED_BACK = "rolled_back"
+    WITHDRAWN = "withdrawn"
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,6 +157,23 @@ def may_promote(verdict: Verdict, standing: Standing, *, parent: int, sha256: st
         and standing.auto_promote
         and standing.active == parent
         and sha256 not in standing.rolled_back
+    )
+
+
+def must_withdraw(verdict: Verdict, standing: Standing, *, parent: int) -> bool:
+    """Tell whether the active version gives way to the base by itself.
+
+    It is not touched where somebody promoted by hand, nor if it is another one than was judged.
+
+    Args:
+        verdict: the judge's.
+        standing: of the user, at this moment.
+        parent: the version that was active when the trials were judged.
+    """
+    return (
+        verdict is Verdict.RETURN_TO_BASE
+        and standing.auto_promote
+        and standing.active == parent != BASE_NUMBER
     )
 
 

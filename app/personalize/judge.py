@@ -1,77 +1,240 @@
-"""Whether what was trained may answer: plain numbers in, a verdict and its reason out.
+"""Whether what was trained may answer, and how far: plain numbers in, a ruling and its reason out.
 
-The clip is the unit, never the window: windows of a clip overlap and say the same twice.
+Two questions, asked of the candidate as it will be served, its familiarity gate included: does it
+help on motion like that recorded, and does it not hurt on motion unlike it? The largest blend
+between the weights of base and candidate that passes both is taken. The clip is the unit, never
+the window: windows of a clip overlap and say the same twice.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from app.domain.versions import Verdict
-from models.data.clips import Clip
 from models.metrics import FRAMES
-from models.spec import MotionSpec
 
-MIN_BLOCKS = 5
-LONG_CLIP_S, BLOCK_S, DROPPED_FRAMES = 4.0, 2.0, 30
-EVERY_NTH = 4
+SHARES = (0.85, 0.7, 0.5, 0.3)
+"""Blends that are tried, largest first; 0, the base itself, is what is left. All of the way costs
+more on other motion than it brings on the recorded (docs/personalisation.md)."""
+
+
+@dataclass(frozen=True, slots=True)
+class JudgeRule:
+    """The constants, chosen on training subjects (docs/personalisation.md, LOG.md).
+
+    Errors are those of the candidate as a part of the base's; standard errors are over clips.
+
+    Attributes:
+        hurt_errors: how many standard errors above 1 the error on motion unlike the recorded may
+            be.
+        like_errors: how many standard errors above 1 it may be on later parts of clips. They are
+            weak witnesses: a gesture ends otherwise than it begins, and where the real gain was a
+            third they said anything from a loss of a quarter to a gain of a tenth.
+        trial_errors: how many standard errors below 1 it must be on whole trials left out.
+        lose_errors: how many standard errors behind the active version a candidate may be on a
+            trial that neither was trained on.
+    """
+
+    hurt_errors: float = 0.5
+    like_errors: float = 2.0
+    trial_errors: float = 1.0
+    lose_errors: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class Figures:
-    """Errors on what was left out, for each clip and reported frame, in cm².
+    """Errors on clips that were left out, in cm², for each clip and reported frame.
 
     Attributes:
         before: of the base.
-        after: of the candidate.
+        after: of the candidate, for every one of `SHARES`.
     """
 
     before: Float[np.ndarray, "clip frame"]
-    after: Float[np.ndarray, "clip frame"]
+    after: Float[np.ndarray, "share clip frame"]
 
-    def summarise(self) -> dict[str, Any]:
-        """Write the figures as they are stored with a version."""
-        better = self.after[:, -1] < self.before[:, -1]
+    def __len__(self) -> int:
+        """Count the clips."""
+        return len(self.before)
+
+    def compare(self, share: float) -> "Comparison":
+        """Compare a blend with the base, at the last frame."""
+        return compare(self.before[:, -1], self.after[SHARES.index(share), :, -1])
+
+    def summarise(self, share: float) -> dict[str, Any]:
+        """Write the figures of a blend as they are stored with a version."""
+        after, found = self.after[SHARES.index(share)], self.compare(share)
+        won = int((after[:, -1] < self.before[:, -1]).sum())
         return {
-            "frames": list(FRAMES),
-            "before": np.round(self.before.mean(axis=0), 3).tolist(),
-            "after": np.round(self.after.mean(axis=0), 3).tolist(),
-            "clips_won": int(better.sum()),
-            "clips_lost": int((~better).sum()),
+            "clips": len(self),
+            "clips_won": won,
+            "clips_lost": len(self) - won,
+            "before_cm2": np.round(self.before.mean(axis=0), 3).tolist(),
+            "after_cm2": np.round(after.mean(axis=0), 3).tolist(),
+            "ratio": round(found.ratio, 4),
+            "standard_error": round(found.error, 4),
         }
 
 
-def judge(figures: Figures) -> tuple[Verdict, str]:
-    """Promote what is better than the base by more than one standard error over clips."""
-    gain = 1 - figures.after[:, -1] / np.maximum(figures.before[:, -1], 1e-9)
-    sure = float(gain.mean() - gain.std(ddof=1) / np.sqrt(len(gain)))
-    told = f"On {len(gain)} clips left out the error changes by {-gain.mean():+.1%}"
-    if sure > 0:
-        return Verdict.PROMOTE, f"{told}: better than before."
-    return Verdict.REJECT, f"{told}: not surely better than before."
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Mean error of one method as a part of another's, and its standard error over clips."""
+
+    ratio: float
+    error: float
 
 
-def cut_blocks(clips: Sequence[Clip]) -> list[Clip]:
-    """Cut long clips into blocks that are independent of each other."""
-    blocks: list[Clip] = []
-    for clip in clips:
-        length = round(BLOCK_S * clip.rate_hz)
-        if len(clip.poses) <= LONG_CLIP_S * clip.rate_hz:
-            blocks.append(clip)
-            continue
-        starts = range(0, len(clip.poses) - length + 1, length + DROPPED_FRAMES)
-        blocks += [replace(clip, poses=clip.poses[start : start + length]) for start in starts]
-    return [block for block in blocks if len(block.poses) >= MotionSpec().frames]
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """The active version on a new trial, beside the candidate that did not see it either.
+
+    Attributes:
+        base, active: their errors at the last frame, cm².
+        candidate: of the candidate, for every one of `SHARES`.
+    """
+
+    base: Float[np.ndarray, " clip"]
+    active: Float[np.ndarray, " clip"]
+    candidate: Float[np.ndarray, "share clip"]
 
 
-def leave_out(blocks: Sequence[Clip]) -> tuple[list[Clip], list[Clip]]:
-    """Split into what to learn from and what to judge by; nothing to judge by where too few."""
-    if len(blocks) < MIN_BLOCKS:
-        return list(blocks), []
-    held_out = [block for i, block in enumerate(blocks) if i % EVERY_NTH == EVERY_NTH - 1]
-    held_out = held_out if len(held_out) > 1 else list(blocks[-2:])
-    left = {id(block) for block in held_out}
-    return [block for block in blocks if id(block) not in left], held_out
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Everything that a ruling rests on.
+
+    Attributes:
+        like, unlike: on motion like and unlike what was learnt.
+        trials: on every trial that was left out as a whole, by its name.
+        rival: None where no active version was there, or no trial is new to it.
+    """
+
+    like: Figures
+    unlike: Figures
+    trials: dict[str, Figures]
+    rival: Rival | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Ruling:
+    """What becomes of a candidate.
+
+    Attributes:
+        verdict: whether it may answer.
+        share: the blend between base (0) and fitted weights (1) that it is stored with.
+        message: why, for an operator.
+    """
+
+    verdict: Verdict
+    share: float
+    message: str
+
+
+def compare(before: Float[np.ndarray, " clip"], after: Float[np.ndarray, " clip"]) -> Comparison:
+    """Give the ratio of two sums over clips, and its jackknife standard error."""
+    ratio = float(after.sum() / max(before.sum(), 1e-9))
+    count = len(before)
+    if count < 2:
+        return Comparison(ratio, float("inf"))
+    others = (after.sum() - after) / np.maximum(before.sum() - before, 1e-9)
+    spread = float(np.square(others - others.mean()).sum())
+    return Comparison(ratio, float(np.sqrt((count - 1) / count * spread)))
+
+
+def judge(evidence: Evidence, rule: JudgeRule | None = None) -> Ruling:
+    """Rule on a candidate: promote it at the largest blend that passes, or say what it failed."""
+    rule = rule or JudgeRule()
+    both = join([evidence.like, evidence.unlike])
+    best = min(SHARES, key=lambda share: both.compare(share).ratio)
+    if both.compare(best).ratio >= 1:
+        told = _tell("clips and parts of clips left out", both.compare(best))
+        return _reject(evidence, best, f"It does not help: {told}.", rule)
+    passed = [share for share in SHARES if _is_admissible(evidence, share, rule)]
+    if not passed:
+        return _reject(evidence, best, _explain_failure(evidence, SHARES[-1]), rule)
+    share = passed[0]
+    lost = _find_lost_trial(evidence, share, rule)
+    if lost is not None:
+        return _reject(evidence, share, lost, rule)
+    return Ruling(Verdict.PROMOTE, share, _explain_success(evidence, share))
+
+
+def _is_admissible(evidence: Evidence, share: float, rule: JudgeRule) -> bool:
+    like, unlike = evidence.like.compare(share), evidence.unlike.compare(share)
+    if len(evidence.unlike) and unlike.ratio > 1 + rule.hurt_errors * unlike.error:
+        return False
+    if evidence.trials:
+        return like.ratio < 1 - rule.trial_errors * like.error
+    return not len(evidence.like) or like.ratio <= 1 + rule.like_errors * like.error
+
+
+def _explain_success(evidence: Evidence, share: float) -> str:
+    unlike = _percent(evidence.unlike.compare(share))
+    like = _percent(evidence.like.compare(share))
+    if evidence.trials:
+        found = f"Whole trials left out: the error changes by {like}; other motion: {unlike}."
+    else:
+        found = (
+            f"Motion left out altogether: the error changes by {unlike}; later parts of clips: "
+            f"{like}. Another trial of the same motion will tell more."
+        )
+    return f"Good enough to answer, at {share:.0%} of the way from the base. {found}"
+
+
+def _explain_failure(evidence: Evidence, share: float) -> str:
+    unlike, like = evidence.unlike.compare(share), evidence.like.compare(share)
+    return (
+        f"Even {share:.0%} of the way from the base is not good enough: on motion like that "
+        f"recorded the error changes by {_percent(like)}, on other motion by {_percent(unlike)}."
+    )
+
+
+def _find_lost_trial(evidence: Evidence, share: float, rule: JudgeRule) -> str | None:
+    """Say on which trial a candidate loses: against the base, or against the active version."""
+    for name, figures in evidence.trials.items():
+        found = figures.compare(share)
+        if found.ratio - rule.lose_errors * found.error > 1:
+            return f"It loses on trial {name}, left out: {_percent(found)}."
+    rival = evidence.rival
+    if rival is not None:
+        found = compare(rival.active, rival.candidate[SHARES.index(share)])
+        if found.ratio - rule.lose_errors * found.error > 1:
+            return f"It loses against the active version on the new trial: {_percent(found)}."
+    return None
+
+
+def _reject(evidence: Evidence, share: float, why: str, rule: JudgeRule) -> Ruling:
+    """Reject; and where the active version does harm on the new trial, take that back as well."""
+    rival = evidence.rival
+    if rival is not None:
+        found = compare(rival.base, rival.active)
+        if found.ratio - rule.lose_errors * found.error > 1:
+            told = f"The active version does harm on the new trial ({_percent(found)})"
+            return Ruling(Verdict.RETURN_TO_BASE, share, f"{why} {told}: back to the base.")
+    return Ruling(Verdict.REJECT, share, why)
+
+
+def _tell(where: str, found: Comparison) -> str:
+    return f"on {where} the error changes by {_percent(found)}"
+
+
+def _percent(found: Comparison) -> str:
+    if not np.isfinite(found.error):
+        return f"{found.ratio - 1:+.1%}"
+    return f"{found.ratio - 1:+.1%} ± {found.error:.1%}"
+
+
+def join(parts: Sequence[Figures]) -> Figures:
+    """Put the figures of several folds together."""
+    return Figures(
+        before=np.concatenate([part.before for part in parts]),
+        after=np.concatenate([part.after for part in parts], axis=1),
+    )
+
+
+def no_figures() -> Figures:
+    """Give figures of no clip at all."""
+    frames = len(FRAMES)
+    return Figures(np.zeros((0, frames)), np.zeros((len(SHARES), 0, frames)))

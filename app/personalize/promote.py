@@ -42,6 +42,7 @@ async def prepare_task(
         parent=active.number,
         threads=threads,
         active_base=old_base,
+        active_trials=await versions.list_trials(tx, held.user_uuid, active.number),
     )
 
 

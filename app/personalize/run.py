@@ -14,7 +14,8 @@ import numpy as np
 from app.domain.recordings import DamagedChunkError, unpack_frames
 from app.domain.trials import ClipFlaw
 from app.domain.versions import Verdict
-from app.personalize.quality import Checked, check_clip, is_stranger
+from app.personalize.bodies import Bodies, Bones, tell_apart
+from app.personalize.quality import Checked, check_clip
 from models.data.clips import Clip
 from models.skeleton import SKELETONS
 
@@ -42,6 +43,8 @@ class Task(msgspec.Struct):
         parent: its number, 0 for the base.
         threads: for arithmetic.
         active_base: the base that the active version runs on, as its file; None for `base`.
+        active_trials: the trials that it was trained on.
+        lived: bones of whoever is seen on the user's streams, where that is known.
     """
 
     skeleton: str
@@ -52,6 +55,8 @@ class Task(msgspec.Struct):
     parent: int
     threads: int
     active_base: bytes | None = None
+    active_trials: list[str] = msgspec.field(default_factory=list)
+    lived: list[float] | None = None
 
 
 class FoundFlaw(msgspec.Struct):
@@ -89,12 +94,14 @@ class Lesson:
         active: weights of the active version, None for the base.
         clips: good clips in the net's skeleton, `trial` naming their trial, oldest trial first.
         active_base: the base that the active version runs on, as its file; None for `base`.
+        active_trials: the trials that it was trained on.
     """
 
     base: bytes
     active: bytes | None
     clips: tuple[Clip, ...]
     active_base: bytes | None = None
+    active_trials: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,17 +128,27 @@ def run_task(task: Task, trainer: Trainer, report: Report) -> Outcome:
     """
     report({"phase": "checking", "clips": len(task.clips)})
     checked = [_check(clip, task) for clip in task.clips]
-    checked = _leave_out_strangers(task.clips, checked)
+    bodies = _tell_bodies_apart(task, checked)
+    pairs = zip(task.clips, checked, strict=True)
+    checked = [_mark_stranger(clip, found, bodies) for clip, found in pairs]
     flaws = [
         FoundFlaw(clip.trial, clip.ordinal, found.flaw)
         for clip, found in zip(task.clips, checked, strict=True)
         if found.flaw is not None
     ]
+    if bodies.is_open:
+        return Outcome(Verdict.RETURN_TO_BASE, _explain_open(bodies), None, {}, flaws)
     clips = tuple(_to_clips(task.clips, checked))
-    lesson = Lesson(task.base, task.active, clips, task.active_base)
-    if not lesson.clips:
+    if not clips:
         return Outcome(Verdict.TOO_LITTLE_DATA, _explain_nothing(flaws), None, {}, flaws)
-    report({"phase": "training", "clips": len(lesson.clips)})
+    lesson = Lesson(
+        base=task.base,
+        active=task.active,
+        clips=clips,
+        active_base=task.active_base,
+        active_trials=frozenset(task.active_trials),
+    )
+    report({"phase": "training", "clips": len(clips)})
     learned = trainer(lesson, report)
     return Outcome(learned.verdict, learned.message, learned.blob, learned.metrics, flaws)
 
@@ -144,19 +161,19 @@ def _check(clip: TaskClip, task: Task) -> Checked:
     return check_clip(frames, SKELETONS[task.skeleton], up=task.up)
 
 
-def _leave_out_strangers(clips: list[TaskClip], checked: list[Checked]) -> list[Checked]:
-    """Mark the trials whose bones are not those of the trials before them."""
-    known: list[Any] = []
-    judged = list(checked)
-    for trial in dict.fromkeys(clip.trial for clip in clips):
-        places = [i for i, clip in enumerate(clips) if clip.trial == trial]
-        bones = [bone for i in places if (bone := checked[i].bones) is not None]
-        if not is_stranger(bones, known):
-            known += bones
-            continue
-        for i in places:
-            judged[i] = Checked(checked[i].flaw or ClipFlaw.NOT_THIS_PERSON)
-    return judged
+def _tell_bodies_apart(task: Task, checked: list[Checked]) -> Bodies:
+    trials: dict[str, list[Bones]] = {}
+    for clip, found in zip(task.clips, checked, strict=True):
+        bones = trials.setdefault(clip.trial, [])
+        if found.bones is not None:
+            bones.append(found.bones)
+    return tell_apart(trials, None if task.lived is None else np.array(task.lived))
+
+
+def _mark_stranger(clip: TaskClip, found: Checked, bodies: Bodies) -> Checked:
+    if clip.trial in bodies.strangers and found.flaw is None and not bodies.is_open:
+        return Checked(ClipFlaw.NOT_THIS_PERSON)
+    return found
 
 
 def _to_clips(clips: list[TaskClip], checked: list[Checked]) -> list[Clip]:
@@ -171,6 +188,13 @@ def _to_clips(clips: list[TaskClip], checked: list[Checked]) -> list[Clip]:
         for clip, found in zip(clips, checked, strict=True)
         for piece in found.pieces
     ]
+
+
+def _explain_open(bodies: Bodies) -> str:
+    return (
+        f"{len(bodies.strangers)} trials show different people, and as many speak for one as for "
+        "another. The base answers until one more trial decides, or the wrong one is erased."
+    )
 
 
 def _explain_nothing(flaws: list[FoundFlaw]) -> str:

@@ -8,11 +8,13 @@ from sqlalchemy.ext.asyncio import AsyncSession
 
 from app.domain.jobs import Claim, JobReason, JobState
 from app.domain.versions import (
+    BASE_NUMBER,
     ActivationKind,
     Standing,
     Verdict,
     VersionState,
     may_promote,
+    must_withdraw,
 )
 from app.storage import leases, versions
 from app.storage.versions import NewVersion
@@ -68,6 +70,12 @@ async def finish(
     if result.blob is not None:
         number, reason = await _add_version(tx, held, result, result.blob, standing)
         await versions.purge(tx, held.user_uuid, keep=keep)
+    elif result.verdict is not Verdict.TOO_LITTLE_DATA:
+        reason = JobReason.DID_NOT_WIN
+    if must_withdraw(result.verdict, standing, parent=result.parent):
+        await versions.activate(
+            tx, held.user_uuid, BASE_NUMBER, kind=ActivationKind.WITHDRAWN, actor=None
+        )
     state = (
         JobState.SUCCEEDED
         if reason in {JobReason.PROMOTED, JobReason.AWAITS_PROMOTION}

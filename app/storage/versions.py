@@ -282,6 +282,14 @@ async def list_history(tx: AsyncSession, user_uuid: UUID) -> list[HistoryLine]:
     ]
 
 
+async def list_trials(tx: AsyncSession, user_uuid: UUID, number: int) -> list[str]:
+    """List the trials that a version was trained on, by their ids; none for the base."""
+    query = select(VersionRow.trained_on).where(
+        VersionRow.user_uuid == user_uuid, VersionRow.number == number
+    )
+    return [str(trial) for trial in await tx.scalar(query) or []]
+
+
 async def lock_user(tx: AsyncSession, user_uuid: UUID) -> UserRow:
     """Let nobody else decide about this user until the transaction ends.
 

@@ -37,7 +37,7 @@ class FinetuneConfig:
         warm_up: share of the steps in which the rate rises.
         rates: factor on the rate for parts of the decoder, by the beginning of their names.
         copies: augmented copies of every window.
-        augmentation: what makes the copies; the person's own body, so neither mirror nor bones.
+        augmentation: what makes the copies; the person's own body and habits, so no mirror.
         anchor: weight of the squared distance from the base's weights, as a decay towards them.
         average: decay of the moving average of the weights, which is what is kept.
         clip: largest norm of the gradient.
@@ -45,14 +45,22 @@ class FinetuneConfig:
     """
 
     steps: int = 300
-    batch: int = 64
-    learning_rate: float = 5e-4
+    batch: int = 32
+    learning_rate: float = 2e-3
     warm_up: float = 0.15
     rates: Mapping[str, float] = field(default_factory=dict)
     copies: int = 6
     augmentation: Augmentation = field(
         default_factory=lambda: replace(
-            Augmentation(), mix=0.0, flicker=0.0, tempo=0.0, slow=0.0, still=0.0
+            Augmentation(),
+            mirror=0.0,
+            scale=0.03,
+            bones=0.02,
+            mix=0.3,
+            flicker=0.0,
+            tempo=0.0,
+            slow=0.0,
+            still=0.0,
         )
     )
     anchor: float = 0.0

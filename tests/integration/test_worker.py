@@ -103,19 +103,54 @@ async def test_junk_is_never_trained_on_and_named(database):
     assert clip.flaw is ClipFlaw.FROZEN
 
 
+def make_stranger():
+    """Clips of somebody a fifth taller."""
+    frames = record_frames(seed=1)
+    other = RawFrames(t=frames.t, joints=frames.joints * 1.2)
+    return [make_clip(i, frames=other) for i in range(4)]
+
+
+async def add_more(database, user, clips):
+    async with database.write() as tx:
+        trial = await trials.add(tx, user, label=None, finetune=True, clips=clips)
+        await jobs.enqueue(tx, user.uuid, reason=JobReason.TRIAL, requested_by=None)
+    return trial
+
+
 async def test_somebody_else_is_left_out_of_training(database):
     clips = [make_clip(i, frames=record_frames(seed=1)) for i in range(4)]
     user, first, _ = await add_job(database, clips=clips)
-    frames = record_frames(seed=1)
-    other = RawFrames(t=frames.t, joints=frames.joints * 1.2)
-    async with database.write() as tx:
-        strange = [make_clip(i, frames=other) for i in range(4)]
-        second = await trials.add(tx, user, label=None, finetune=True, clips=strange)
+    second = await add_more(database, user, clips)
+    strange = await add_more(database, user, make_stranger())
     await make_worker(database, "quick").run_pending()
     async with database.read() as tx:
-        assert (await versions.get(tx, user.uuid, 1)).metrics["trials"] == [str(first.id)]
-        found = {clip.flaw for clip in (await trials.get(tx, user, second.id)).clips}
+        trained_on = (await versions.get(tx, user.uuid, 1)).metrics["trials"]
+        found = {clip.flaw for clip in (await trials.get(tx, user, strange.id)).clips}
+    assert trained_on == sorted([str(first.id), str(second.id)])
     assert found == {ClipFlaw.NOT_THIS_PERSON}
+
+
+async def test_one_trial_against_one_leaves_nobodys_weights_active(database):
+    user, first, _ = await add_job(database, clips=make_stranger())
+    worker = make_worker(database, "quick")
+    await worker.run_pending()
+    async with database.read() as tx:
+        assert (await versions.read_active_of(tx, user.uuid)).number == 1
+    clips = [make_clip(i, frames=record_frames(seed=1)) for i in range(4)]
+    second = await add_more(database, user, clips)
+    await worker.run_pending()
+    async with database.read() as tx:
+        assert (await versions.read_active_of(tx, user.uuid)).number == 0
+        last = (await versions.list_history(tx, user.uuid))[-1]
+    assert last.kind == "withdrawn"
+    third = await add_more(database, user, clips)
+    await worker.run_pending()
+    async with database.read() as tx:
+        active = await versions.read_active_of(tx, user.uuid)
+        trained_on = (await versions.get(tx, user.uuid, active.number)).metrics["trials"]
+    assert active.number == 2
+    assert trained_on == sorted([str(second.id), str(third.id)])
+    assert str(first.id) not in trained_on
 
 
 async def test_progress_is_told_and_cancelling_takes_a_second(database):

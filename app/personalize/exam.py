@@ -1,0 +1,106 @@
+"""Measuring a candidate on what it was not fitted on, exactly as it would be served."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from app.personalize.folds import Fold
+from app.personalize.judge import SHARES, Figures, Rival, no_figures
+from models.data.clips import Clip
+from models.data.windows import Windows, cut_windows
+from models.decoder import Decoder
+from models.metrics import FRAMES
+from models.personal import PersonalDecoder
+from models.predictor import Predictor
+from models.training.finetune import Encodings, blend, encode_windows
+
+_BATCH = 512
+_CM2_PER_M2 = 1e4
+
+
+@dataclass(frozen=True, eq=False)
+class Examined:
+    """What came out of one fold.
+
+    Attributes:
+        like, unlike: the errors.
+        offsets: distances between forecast and truth of all windows left out, in metres, for
+            every one of `SHARES`.
+    """
+
+    like: Figures
+    unlike: Figures
+    offsets: Float[np.ndarray, "share window horizon joint"]
+
+    def distances(self, share: float) -> Float[np.ndarray, "window horizon joint"]:
+        """Give the distances of one blend."""
+        return np.asarray(self.offsets[SHARES.index(share)])
+
+
+def examine(candidate: PersonalDecoder, fold: Fold) -> Examined:
+    """Measure a candidate at every blend on what its fold left out."""
+    like, like_off = _measure(candidate, fold.like)
+    unlike, unlike_off = _measure(candidate, fold.unlike)
+    return Examined(like, unlike, np.concatenate([like_off, unlike_off], axis=1))
+
+
+def measure_rival(active: PersonalDecoder, clips: Sequence[Clip], candidate: Figures) -> Rival:
+    """Measure the active version, on its own encoder, on clips that a candidate was measured on."""
+    windows = cut_windows(clips, active.base.spec)
+    truth = torch.from_numpy(windows.future)
+    with torch.inference_mode():
+        parts = torch.from_numpy(windows.observed).split(_BATCH)
+        forecast = torch.cat([active(part) for part in parts])
+        errors = _average(_cumulate(forecast - truth), windows)
+    return Rival(
+        base=candidate.before[:, -1], active=errors[:, -1], candidate=candidate.after[:, :, -1]
+    )
+
+
+def _measure(
+    candidate: PersonalDecoder, clips: Sequence[Clip]
+) -> tuple[Figures, Float[np.ndarray, "share window horizon joint"]]:
+    spec = candidate.base.spec
+    if not clips:
+        return no_figures(), np.zeros((len(SHARES), 0, spec.horizon, spec.joints), np.float32)
+    windows = cut_windows(clips, spec)
+    whole = torch.from_numpy(np.concatenate([windows.observed, windows.future], axis=1))
+    with torch.inference_mode():
+        found = encode_windows(candidate.base, whole)
+        gate = candidate.share(found.z)[:, None, None, None]
+        of_base = _roll(candidate.base, candidate.base.decoder, found)
+        errors, offsets = [], []
+        for share in SHARES:
+            blended = blend(candidate.base.decoder, candidate.decoder, share)
+            off = torch.lerp(of_base, _roll(candidate.base, blended, found), gate) - found.target
+            errors.append(_average(_cumulate(off), windows))
+            offsets.append(off.norm(dim=-1).numpy())
+        before = _average(_cumulate(of_base - found.target), windows)
+    return Figures(before, np.stack(errors)), np.stack(offsets)
+
+
+def _roll(base: Predictor, decoder: Decoder, encodings: Encodings) -> Tensor:
+    """Forecast displacements in metres, in canonical heading."""
+    parts = [encodings.pick(chosen) for chosen in torch.arange(len(encodings)).split(_BATCH)]
+    moved = [decoder(part.z, part.c, part.seed, horizon=base.spec.horizon) for part in parts]
+    return torch.cat(moved) * base.normalizer.scales[0]
+
+
+def _cumulate(off: Float[Tensor, "window horizon joint 3"]) -> Float[np.ndarray, "window frame"]:
+    """Give the cumulative squared error at the reported frames, cm²."""
+    errors = off.double().square().mean(dim=(2, 3)).cumsum(dim=1) * _CM2_PER_M2
+    return np.stack([errors[:, frame - 1].numpy() / frame for frame in FRAMES], axis=1)
+
+
+def _average(
+    errors: Float[np.ndarray, "window frame"], windows: Windows
+) -> Float[np.ndarray, "clip frame"]:
+    """Average the windows of each clip."""
+    clips, place, counts = np.unique(windows.clip, return_inverse=True, return_counts=True)
+    total = np.zeros((len(clips), errors.shape[1]))
+    np.add.at(total, place, errors)
+    return total / counts[:, None]

@@ -1,0 +1,112 @@
+import numpy as np
+import pytest
+
+from app.domain.versions import Verdict
+from app.personalize.judge import SHARES, Evidence, Figures, Rival, compare, join, judge, no_figures
+from models.metrics import FRAMES
+
+
+def make_figures(*ratios: float, clips: int = 12, spread: float = 0.02, seed: int = 0) -> Figures:
+    """Clips on which the candidate at each share has this part of the base's error."""
+    draw = np.random.default_rng(seed)
+    before = draw.uniform(10, 60, (clips, 1)) * np.linspace(0.2, 1, len(FRAMES))
+    wanted = np.array(ratios if len(ratios) > 1 else ratios * len(SHARES))
+    noise = 1 + spread * draw.standard_normal((len(SHARES), clips, 1))
+    return Figures(before, before[None] * wanted[:, None, None] * noise)
+
+
+def make_evidence(
+    like: Figures,
+    unlike: Figures,
+    trials: dict[str, Figures] | None = None,
+    rival: Rival | None = None,
+) -> Evidence:
+    return Evidence(like, unlike, trials or {}, rival)
+
+
+def test_what_helps_and_does_no_harm_is_promoted_whole() -> None:
+    ruling = judge(make_evidence(make_figures(0.9), make_figures(0.97)))
+    assert (ruling.verdict, ruling.share) == (Verdict.PROMOTE, SHARES[0])
+    assert "-3." in ruling.message
+
+
+def test_the_largest_blend_that_does_no_harm_is_taken() -> None:
+    unlike = make_figures(1.12, 1.06, 0.97, 0.98, spread=0.01)
+    ruling = judge(make_evidence(make_figures(0.8), unlike))
+    assert (ruling.verdict, ruling.share) == (Verdict.PROMOTE, 0.5)
+
+
+def test_what_harms_at_every_blend_is_rejected() -> None:
+    ruling = judge(make_evidence(make_figures(0.9), make_figures(1.05, spread=0.01)))
+    assert ruling.verdict is Verdict.REJECT
+    assert "not good enough" in ruling.message
+
+
+def test_what_never_helps_is_rejected() -> None:
+    ruling = judge(make_evidence(make_figures(1.05), make_figures(1.0)))
+    assert ruling.verdict is Verdict.REJECT
+    assert "does not help" in ruling.message
+
+
+def test_later_parts_alone_reject_only_what_is_surely_worse() -> None:
+    weak = make_figures(1.05, 1.04, 1.03, 0.99, clips=6, spread=0.2)
+    assert judge(make_evidence(weak, make_figures(0.95))).share == SHARES[0]
+    strong = make_figures(1.2, 1.1, 0.99, 0.98, spread=0.01)
+    assert judge(make_evidence(strong, make_figures(0.95))).share == 0.5
+
+
+def test_whole_trials_left_out_must_show_the_gain() -> None:
+    weak = make_figures(0.99, spread=0.2)
+    trials = {"b": weak}
+    assert judge(make_evidence(weak, make_figures(0.97), trials)).verdict is Verdict.REJECT
+    sure = make_figures(0.7, spread=0.1)
+    ruling = judge(make_evidence(sure, make_figures(0.97), {"b": sure}))
+    assert ruling.verdict is Verdict.PROMOTE
+    assert "Whole trials" in ruling.message
+
+
+def test_a_trial_that_a_candidate_loses_on_rejects_it() -> None:
+    good, bad = make_figures(0.6), make_figures(1.1, spread=0.01)
+    trials = {"good": good, "bad": bad}
+    ruling = judge(make_evidence(good, make_figures(0.97), trials))
+    assert ruling.verdict is Verdict.REJECT
+    assert "trial bad" in ruling.message
+
+
+def make_rival(figures: Figures, active: float) -> Rival:
+    base = figures.before[:, -1]
+    return Rival(base=base, active=active * base, candidate=figures.after[:, :, -1])
+
+
+def test_a_candidate_must_not_lose_against_what_is_active_on_the_new_trial() -> None:
+    new = make_figures(0.8)
+    for active, verdict in ((0.7, Verdict.REJECT), (0.8, Verdict.PROMOTE), (0.9, Verdict.PROMOTE)):
+        evidence = make_evidence(new, make_figures(0.97), {"new": new}, make_rival(new, active))
+        assert judge(evidence).verdict is verdict, active
+
+
+def test_an_active_version_that_harms_on_the_new_trial_gives_way_to_the_base() -> None:
+    new = make_figures(1.02)
+    harmful, harmless = make_rival(new, 1.2), make_rival(new, 0.95)
+    evidence = make_evidence(new, make_figures(0.99), {"new": new}, harmful)
+    ruling = judge(evidence)
+    assert ruling.verdict is Verdict.RETURN_TO_BASE
+    assert "active version does harm" in ruling.message
+    evidence = make_evidence(new, make_figures(0.99), {"new": new}, harmless)
+    assert judge(evidence).verdict is Verdict.REJECT
+
+
+def test_the_clip_is_the_unit() -> None:
+    before = np.array([10.0, 20.0, 30.0])
+    found = compare(before, np.array([5.0, 20.0, 35.0]))
+    assert found.ratio == pytest.approx(1.0)
+    assert found.error > 0.1
+    assert compare(before[:1], before[:1]).error == float("inf")
+
+
+def test_figures_say_how_many_clips_were_won() -> None:
+    figures = join([make_figures(0.9, clips=4, spread=0), make_figures(1.1, clips=3, spread=0)])
+    told = figures.summarise(SHARES[0])
+    assert (told["clips"], told["clips_won"], told["clips_lost"]) == (7, 4, 3)
+    assert len(told["before_cm2"]) == len(told["after_cm2"]) == len(FRAMES)
+    assert len(no_figures()) == 0

@@ -1,0 +1,99 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from app.domain.versions import Verdict
+from app.personalize.run import Lesson
+from app.personalize.trainer import train
+from models.checkpoint import dump_checkpoint, load_checkpoint, load_personal
+from models.data.clips import Clip
+from models.data.synthetic import ACTIONS, SyntheticPerson
+from models.predictor import NetConfig, Predictor
+from models.training.finetune import FinetuneConfig
+from models.uncertainty import LEVELS, RadiusTable
+
+SMALL = NetConfig(
+    encoder_hidden=16,
+    encoder_heads=2,
+    continuous=16,
+    categories=5,
+    decoder_token=8,
+    decoder_hidden=16,
+    decoder_heads=2,
+    spl_hidden=8,
+)
+QUICK = FinetuneConfig(steps=12, batch=16, copies=1)
+
+
+@pytest.fixture(scope="module")
+def base() -> bytes:
+    torch.manual_seed(0)
+    predictor = Predictor(config=SMALL)
+    with torch.no_grad():
+        for weight in predictor.decoder.parameters():
+            weight.add_(0.01 * torch.randn_like(weight))
+    table = np.linspace(0.05, 0.4, len(LEVELS), dtype=np.float32)[:, None, None]
+    radius = RadiusTable(np.broadcast_to(table, (len(LEVELS), 15, 20)).copy(), LEVELS, "nobody")
+    return dump_checkpoint(predictor, {}, radius=radius)
+
+
+def record(trial: str, *, seed: int = 1, clips: int = 6) -> list[Clip]:
+    actions = list(ACTIONS)
+    return [
+        Clip(
+            SyntheticPerson(seed).record(actions[i % len(actions)], 2.5),
+            "",
+            f"{i}",
+            trial,
+            "kinecast",
+        )
+        for i in range(clips)
+    ]
+
+
+def test_a_first_trial_becomes_weights_with_gate_radius_bones_and_figures(base: bytes) -> None:
+    told: list[dict] = []
+    lesson = Lesson(base, None, tuple(record("one")))
+    learned = train(lesson, lambda values: told.append(dict(values)), config=QUICK)
+    assert learned.verdict in {Verdict.PROMOTE, Verdict.REJECT}
+    checkpoint = load_checkpoint(base)
+    assert learned.blob is not None
+    personal = load_personal(learned.blob, checkpoint.predictor, base_sha256=checkpoint.sha256)
+    assert personal.familiarity is not None
+    assert len(personal.metadata["bones"]) == 8
+    assert 0.5 <= personal.metadata["radius_scale"] <= 2
+    assert personal.metadata["share"] == learned.metrics["blend"]
+    assert learned.metrics["seen"]["clips"] > 0
+    assert learned.metrics["unseen"]["clips"] >= 2
+    assert [line["step"] for line in told] == list(range(1, 3 * QUICK.steps + 1))
+    assert told[-1]["steps"] == 3 * QUICK.steps
+    assert told[-1]["seconds_left"] == 0
+    assert {line["phase"] for line in told} == {"judging", "fitting"}
+
+
+def test_the_same_lesson_gives_the_same_bytes(base: bytes) -> None:
+    lesson = Lesson(base, None, tuple(record("one")))
+    first = train(lesson, lambda _: None, config=QUICK)
+    second = train(lesson, lambda _: None, config=QUICK)
+    assert first.blob == second.blob
+    assert first.metrics == second.metrics
+
+
+def test_too_few_clips_are_told_so(base: bytes) -> None:
+    learned = train(Lesson(base, None, tuple(record("one", clips=3))), lambda _: None, config=QUICK)
+    assert learned.verdict is Verdict.TOO_LITTLE_DATA
+    assert learned.blob is None
+    assert "3 stretches" in learned.message
+
+
+def test_a_second_trial_meets_the_active_version_where_it_was_not_trained(base: bytes) -> None:
+    first = tuple(record("one"))
+    active = train(Lesson(base, None, first), lambda _: None, config=QUICK)
+    both = (*first, *record("two"))
+    known = Lesson(base, active.blob, both, active_trials=frozenset({"one"}))
+    learned = train(known, lambda _: None, config=QUICK)
+    assert set(learned.metrics["new_trial"]) == {"base_cm2", "active_cm2", "candidate_cm2"}
+    nothing_new = replace(known, active_trials=frozenset({"one", "two"}))
+    assert "new_trial" not in train(nothing_new, lambda _: None, config=QUICK).metrics
