@@ -18,6 +18,8 @@ from app.storage.tables import utc_now
 
 LOOK_BACK = timedelta(seconds=5)
 """Jobs that ended within this are told of, as they may have begun and ended between two looks."""
+LOOK_S = 10.0
+"""Longest wait for the database to tell."""
 PROGRESS_S = 1.0
 """Mere progress is told of this often at most."""
 
@@ -98,8 +100,9 @@ class JobWatch:
             return
         try:
             users = {listener.stream.user_uuid for listener in listeners}
-            news = await self._read(users, self._known)
-        except NotReadyError:  # the registry deals with that
+            async with asyncio.timeout(LOOK_S):
+                news = await self._read(users, self._known)
+        except (NotReadyError, TimeoutError):  # the registry deals with that
             return
         self._known = frozenset(one.id for one in news if not one.state.is_final)
         self._told = {one.stream: self._tell(one, news, now) for one in listeners}

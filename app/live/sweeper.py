@@ -14,6 +14,8 @@ from app.storage.recordings import store_abandoned
 from app.storage.tables import utc_now
 
 SWEEP_S = 5.0
+LOOK_S = 10.0
+"""Longest wait for the database."""
 GRACE_S = 15.0
 """After an outage, streams that could not say that they are there get this long to do so."""
 
@@ -57,19 +59,21 @@ class Sweeper:
 
     async def sweep(self) -> int:
         """Store what is abandoned now; gives how many recordings that were."""
-        now = self._clock()
         try:
-            if self._reached_since is None or now - self._reached_since < GRACE_S:
-                await self._database.ping()
-                self._reached_since = now if self._reached_since is None else self._reached_since
-                return 0
-            async with self._database.write() as tx:
-                moment = utc_now()
-                before = moment - self._abandoned
-                stored = await store_abandoned(tx, before=before, now=moment)
-        except NotReadyError:
+            async with asyncio.timeout(LOOK_S):
+                return await self._sweep(self._clock())
+        except (NotReadyError, TimeoutError):
             self._reached_since = None
             return 0
+
+    async def _sweep(self, now: float) -> int:
+        if self._reached_since is None or now - self._reached_since < GRACE_S:
+            await self._database.ping()
+            self._reached_since = now if self._reached_since is None else self._reached_since
+            return 0
+        async with self._database.write() as tx:
+            moment = utc_now()
+            stored = await store_abandoned(tx, before=moment - self._abandoned, now=moment)
         if stored:
             log.info("recordings without a stream were stored", trials=len(stored))
         return len(stored)

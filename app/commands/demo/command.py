@@ -48,7 +48,7 @@ def demo_command(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures at the end.")] = False,
 ) -> None:
-    """Stream synthetic people to a service, and show how well it foresees them."""
+    """Stream synthetic people to a service, record them, and show how well it foresees them."""
     target = find_target(url=url, key=key, data_dir=data_dir)
     performers = [Performer(f"demo-{n}", seed=n) for n in range(1, users + 1)]
     reports = [performer.report for performer in performers]
