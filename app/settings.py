@@ -154,6 +154,11 @@ class Settings(BaseSettings):
     finetune_nice: Annotated[int, Field(ge=0, le=19)] = Field(
         10, description="How far fine-tuning steps back behind forecasting (Unix niceness)."
     )
+    finetune_steps: Count | None = Field(
+        None,
+        description="Optimisation steps of one fit; without it, as many as the recipe was judged "
+        "with. Fewer are faster, and win less often.",
+    )
     finetune_timeout_s: Positive = Field(
         900.0, description="A fine-tuning run that takes longer is ended and tried again."
     )

@@ -14,7 +14,13 @@ from app.storage.results import Result
 
 
 async def prepare_task(
-    tx: AsyncSession, held: Claim, *, base: bytes, base_sha256: str, threads: int
+    tx: AsyncSession,
+    held: Claim,
+    *,
+    base: bytes,
+    base_sha256: str,
+    threads: int,
+    steps: int | None = None,
 ) -> Task:
     """Read what a run starts from.
 
@@ -41,6 +47,7 @@ async def prepare_task(
         active=blob,
         parent=active.number,
         threads=threads,
+        steps=steps,
         active_base=old_base,
         active_trials=await versions.list_trials(tx, held.user_uuid, active.number),
     )

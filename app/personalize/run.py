@@ -45,6 +45,7 @@ class Task(msgspec.Struct):
         active_base: the base that the active version runs on, as its file; None for `base`.
         active_trials: the trials that it was trained on.
         lived: bones of whoever is seen on the user's streams, where that is known.
+        steps: of one fit; None for those of the recipe.
     """
 
     skeleton: str
@@ -57,6 +58,7 @@ class Task(msgspec.Struct):
     active_base: bytes | None = None
     active_trials: list[str] = msgspec.field(default_factory=list)
     lived: list[float] | None = None
+    steps: int | None = None
 
 
 class FoundFlaw(msgspec.Struct):
@@ -95,6 +97,7 @@ class Lesson:
         clips: good clips in the net's skeleton, `trial` naming their trial, oldest trial first.
         active_base: the base that the active version runs on, as its file; None for `base`.
         active_trials: the trials that it was trained on.
+        steps: of one fit; None for those of the recipe.
     """
 
     base: bytes
@@ -102,6 +105,7 @@ class Lesson:
     clips: tuple[Clip, ...]
     active_base: bytes | None = None
     active_trials: frozenset[str] = frozenset()
+    steps: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,6 +151,7 @@ def run_task(task: Task, trainer: Trainer, report: Report) -> Outcome:
         clips=clips,
         active_base=task.active_base,
         active_trials=frozenset(task.active_trials),
+        steps=task.steps,
     )
     report({"phase": "training", "clips": len(clips)})
     learned = trainer(lesson, report)

@@ -75,7 +75,7 @@ def train(lesson: Lesson, report: Report, *, config: FinetuneConfig | None = Non
     if not folds:
         return Learned(Verdict.TOO_LITTLE_DATA, _explain_too_little(blocks), None, {})
     base, active = load_checkpoint(lesson.base), _load_active(lesson)
-    course = _Course(base, config or FinetuneConfig(), report, fits=len(folds) + 1)
+    course = _Course(base, config or _configure(lesson.steps), report, fits=len(folds) + 1)
     examined = [
         examine(course.fit(fold.learn, number=i, phase="judging"), fold)
         for i, fold in enumerate(folds)
@@ -108,6 +108,10 @@ def learn_familiarity(predictor: Predictor, clips: Sequence[Clip]) -> Familiarit
     with torch.inference_mode():
         parts = [predictor.encode(part).z for part in observed.split(_ENCODE_BATCH)]
     return Familiarity.fit(torch.cat(parts).clone())
+
+
+def _configure(steps: int | None) -> FinetuneConfig:
+    return FinetuneConfig() if steps is None else FinetuneConfig(steps=steps)
 
 
 def _load_active(lesson: Lesson) -> PersonalDecoder | None:

@@ -54,6 +54,7 @@ class WorkerRules:
     heartbeat_s: float = 5.0
     timeout_s: float = 900.0
     threads: int = 1
+    steps: int | None = None
     nice: int = 10
     versions_kept: int = 10
 
@@ -129,6 +130,7 @@ class Worker:
                 base=self._rules.base,
                 base_sha256=self._rules.base_sha256,
                 threads=self._rules.threads,
+                steps=self._rules.steps,
             )
 
     async def _attend(self, held: Claim, trainee: Trainee) -> "Outcome | Hold | str | None":

@@ -44,6 +44,7 @@ def make_rules(settings: Settings, *, owner: str) -> WorkerRules:
         heartbeat_s=settings.heartbeat_s,
         timeout_s=settings.finetune_timeout_s,
         threads=settings.finetune_threads,
+        steps=settings.finetune_steps,
         nice=settings.finetune_nice,
         versions_kept=settings.versions_kept,
     )

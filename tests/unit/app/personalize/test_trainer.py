@@ -81,6 +81,17 @@ def test_the_same_lesson_gives_the_same_bytes(base: bytes) -> None:
     assert first.metrics == second.metrics
 
 
+def test_an_operator_may_ask_for_fewer_steps(base: bytes) -> None:
+    told: list[dict] = []
+    lesson = Lesson(base, None, tuple(record("one")), steps=2)
+    learned = train(lesson, lambda values: told.append(dict(values)))
+    assert told[-1]["steps"] == 3 * 2
+    assert learned.blob is not None
+    checkpoint = load_checkpoint(base)
+    personal = load_personal(learned.blob, checkpoint.predictor, base_sha256=checkpoint.sha256)
+    assert personal.metadata["finetuning"]["steps"] == 2
+
+
 def test_too_few_clips_are_told_so(base: bytes) -> None:
     learned = train(Lesson(base, None, tuple(record("one", clips=3))), lambda _: None, config=QUICK)
     assert learned.verdict is Verdict.TOO_LITTLE_DATA
