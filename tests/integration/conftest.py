@@ -48,6 +48,20 @@ async def database(settings: Settings) -> AsyncIterator[Database]:
 
 
 @pytest_asyncio.fixture
+async def sqlite_database(sqlite_settings: Settings) -> AsyncIterator[Database]:
+    """A database for what is the same with each kind, and slow."""
+    async with open_database(sqlite_settings) as opened:
+        yield opened
+
+
+@pytest_asyncio.fixture
+async def sqlite_service(sqlite_settings: Settings) -> AsyncIterator[Service]:
+    """A service for what is the same with each kind of database, and slow."""
+    async with run_service(sqlite_settings) as running:
+        yield running
+
+
+@pytest_asyncio.fixture
 async def service(settings: Settings) -> AsyncIterator[Service]:
     """A service on each kind of database."""
     async with run_service(settings) as running:

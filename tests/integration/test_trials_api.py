@@ -217,18 +217,18 @@ async def test_files_of_every_kind_are_read(service):
         ("a.exe", b"", ".mat"),
     ],
 )
-async def test_file_that_cannot_be_read_is_named(service, name, content, word):
-    await service.add_user()
-    answer = await send_files(service, (name, content))
+async def test_file_that_cannot_be_read_is_named(sqlite_service, name, content, word):
+    await sqlite_service.add_user()
+    answer = await send_files(sqlite_service, (name, content))
     assert (answer.status_code, answer.json()["code"]) == (422, "bad_recording")
     assert name in answer.json()["detail"]
     assert word in answer.json()["detail"]
     assert "upload.npz" not in answer.text
 
 
-async def test_file_of_several_people_is_refused(service):
-    await service.add_user()
-    answer = await send_files(service, ("a.npz", write_npz(record_frames(), ("1", "2"))))
+async def test_file_of_several_people_is_refused(sqlite_service):
+    await sqlite_service.add_user()
+    answer = await send_files(sqlite_service, ("a.npz", write_npz(record_frames(), ("1", "2"))))
     assert "several people (1, 2)" in answer.json()["detail"]
 
 

@@ -179,16 +179,16 @@ async def test_worker_that_is_stopped_gives_its_job_to_the_next(database):
 @pytest.mark.parametrize(
     ("trainer", "word"), [("broken", "not finite"), ("deadly", "signal 9"), ("nowhere", "status 1")]
 )
-async def test_failed_attempt_waits_for_the_next_one(database, trainer, word):
-    _, _, job_id = await add_job(database)
-    assert await make_worker(database, trainer).run_pending() == 1
-    job = await get(database, job_id)
+async def test_failed_attempt_waits_for_the_next_one(sqlite_database, trainer, word):
+    _, _, job_id = await add_job(sqlite_database)
+    assert await make_worker(sqlite_database, trainer).run_pending() == 1
+    job = await get(sqlite_database, job_id)
     assert (job.state, job.attempt) == ("running", 1)
     assert word in job.message
-    async with database.write() as tx:
+    async with sqlite_database.write() as tx:
         await tx.execute(text("UPDATE jobs SET lease_until = created_at"))
-    assert await make_worker(database, "quick").run_pending() == 1
-    assert (await get(database, job_id)).state == "succeeded"
+    assert await make_worker(sqlite_database, "quick").run_pending() == 1
+    assert (await get(sqlite_database, job_id)).state == "succeeded"
 
 
 async def test_training_that_takes_too_long_is_ended(database):
