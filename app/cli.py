@@ -43,7 +43,7 @@ LAZY = (
     ),
     Lazy(
         "evaluate",
-        "app.commands.training",
+        "app.commands.evaluate",
         "evaluate_command",
         "Print the error table of a model on recordings.",
     ),

@@ -1,30 +1,20 @@
-"""`kinecast pretrain`, `kinecast calibrate` and `kinecast evaluate`: what a researcher runs."""
+"""`kinecast pretrain` and `kinecast calibrate`: how a base comes about."""
 
-import json
-import os
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich import box
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
+from app.commands.files import read_clips, refuse_place
 from app.commands.output import err, fail, out
-from models.baselines import Forecaster
-from models.checkpoint import SHIPPED, Checkpoint, CheckpointError, load_checkpoint, save_checkpoint
-from models.data.clips import Clip, load_clips
-from models.data.splits import TEST_TRIALS, TRAIN_SUBJECTS, select, without_examination
-from models.data.utd_mhad import RecordingError
-from models.data.windows import cut_windows
-from models.metrics import FRAMES
-from models.training import evaluate as evaluation
+from models.checkpoint import load_checkpoint, save_checkpoint
+from models.data.splits import TRAIN_SUBJECTS, without_examination
 from models.training import loop
-from models.training.calibrate import calibrate, measure_coverage
+from models.training.calibrate import calibrate
 from models.training.config import PretrainConfig
 from models.training.pretrain import choose_device, pretrain, write_pretrained
 
@@ -60,11 +50,11 @@ def pretrain_command(
     ] = True,
 ) -> None:
     """Train a base model on recordings (phase 1); a killed run goes on where it was."""
-    _refuse_place("--out", out_file)
+    refuse_place("--out", out_file)
     config = _configure(steps=steps, batch=batch, seed=seed, adversary=adversary, patience=patience)
-    clips = _read(data, subjects)
+    clips = read_clips(data, subjects)
     if mix is not None:
-        clips += without_examination(_read(mix, None))
+        clips += without_examination(read_clips(mix, None))
     left_out = [_person(name) for name in leave_out.split(",") if name]
     state = out_file.with_suffix(".state")
     if state.exists():
@@ -90,7 +80,7 @@ def calibrate_command(
     """Measure the radius on people whom other bases left out, and write it into a model."""
     try:
         base = load_checkpoint(model)
-        radius, scores = calibrate([load_checkpoint(path) for path in fold], _read(data, None))
+        radius, scores = calibrate([load_checkpoint(path) for path in fold], read_clips(data, None))
     except (OSError, ValueError) as error:
         fail(str(error), status=2)
     metadata = base.metadata | {"left_out_scores": scores}
@@ -99,75 +89,6 @@ def calibrate_command(
     )
     at = float(radius.radius(0.9)[-1].mean()) * 100
     out.print(f"{model}  sha256 {sha256}\nradius at 0.5 s and coverage 0.9: {at:.1f} cm on average")
-
-
-def evaluate_command(
-    data: Data,
-    subjects: Subjects = None,
-    test_trials: Annotated[
-        str | None, typer.Option(help="Trials to test on; 2,3,4 of UTD-MHAD, all of an .npz.")
-    ] = None,
-    model: Annotated[Path, typer.Option(help="The checkpoint to score.")] = SHIPPED,
-    json_out: Json = None,
-    *,
-    baselines: Annotated[
-        bool, typer.Option("--baselines", help="Score damped velocity and ridge as well.")
-    ] = False,
-) -> None:
-    """Print the error table of a model: cm² and mm, by subject and frame, against baselines."""
-    if json_out is not None and str(json_out) != "-":
-        _refuse_place("--json", json_out)
-        if not json_out.parent.is_dir():
-            fail(f"--json: there is no folder {json_out.parent}", status=2)
-    try:
-        checkpoint = load_checkpoint(model)
-    except (OSError, CheckpointError) as error:
-        fail(f"{model}: {error}", status=2)
-    everybody = _read(data, None)
-    trials = test_trials.split(",") if test_trials else _default_trials(data)
-    test = select(everybody, subjects=subjects.split(",") if subjects else None, trials=trials)
-    if not test:
-        wanted = f"subjects {subjects or 'any'} and trials {','.join(trials or ['any'])}"
-        fail(f"no clips of {wanted} in {data}", status=2)
-    rows = _score(checkpoint, everybody, test, by_subject=bool(subjects), more=baselines)
-    description = {"file": model.name, "sha256": checkpoint.sha256}
-    protocol = evaluation.describe_protocol(test, model=description)
-    report = {"protocol": protocol, "rows": [row.as_json() for row in rows]}
-    if json_out is not None:
-        _write_json(json_out, report)
-    if json_out is None or str(json_out) != "-":
-        _show(rows, published=_is_paper_protocol(data, trials))
-
-
-def _score(
-    checkpoint: Checkpoint,
-    everybody: Sequence[Clip],
-    test: Sequence[Clip],
-    *,
-    by_subject: bool,
-    more: bool,
-) -> list[evaluation.Row]:
-    methods: dict[str, Forecaster] = {"base": checkpoint.predictor}
-    methods |= evaluation.simple_baselines() if more else {}
-    rows = evaluation.evaluate(methods, test, by_subject=by_subject)
-    rows = [_with_coverage(row, checkpoint, test) if row.method == "base" else row for row in rows]
-    training = [clip for clip in evaluation.training_clips(everybody) if clip.source == "utd-mhad"]
-    if more and by_subject and training:
-        rows += evaluation.evaluate_ridge(training, everybody, test)
-    elif more:
-        err.print("ridge needs UTD-MHAD's subjects 1, 3, 5, 7 to be fitted on: left out")
-    return sorted(rows, key=lambda row: (len(row.subject), row.subject))
-
-
-def _with_coverage(
-    row: evaluation.Row, checkpoint: Checkpoint, test: Sequence[Clip]
-) -> evaluation.Row:
-    if checkpoint.radius is None:
-        return row
-    own = test if row.subject == evaluation.EVERYBODY else select(test, subjects=[row.subject])
-    windows = cut_windows(own, checkpoint.predictor.spec)
-    found = measure_coverage(checkpoint.predictor, checkpoint.radius, windows)
-    return replace(row, coverage=found)
 
 
 def progress_bar(name: str) -> "_Bar":
@@ -215,81 +136,11 @@ def _configure(
     return config if adversary else replace(config, adversarial_weight=0.0)
 
 
-def _read(path: Path, subjects: str | None) -> list[Clip]:
-    try:
-        return load_clips(path, subjects=subjects.split(",") if subjects else None)
-    except (OSError, RecordingError) as error:
-        fail(str(error), status=2)
-
-
-def _refuse_place(option: str, path: Path) -> None:
-    """Refuse what no file can be written to, before hours of computing rather than after."""
-    if path.is_dir():
-        fail(f"{option}: {path} is a folder, not a file", status=2)
-    nearest = next(folder for folder in path.absolute().parents if folder.exists())
-    if not nearest.is_dir():
-        fail(f"{option}: {nearest} is no folder", status=2)
-    if not os.access(nearest, os.W_OK | os.X_OK):
-        fail(f"{option}: nothing may be written in {nearest}", status=2)
-
-
 def _person(name: str) -> tuple[str, str]:
     source, slash, subject = name.partition("/")
     if not slash:
         fail(f"{name!r} is no person: write collection/subject, such as utd-mhad/7", status=2)
     return source, subject
-
-
-def _default_trials(data: Path) -> Sequence[str] | None:
-    return None if data.suffix == ".npz" else TEST_TRIALS
-
-
-def _is_paper_protocol(data: Path, trials: Sequence[str] | None) -> bool:
-    return data.suffix != ".npz" and trials is not None and tuple(trials) == TEST_TRIALS
-
-
-def _write_json(path: Path, report: Mapping[str, object]) -> None:
-    text = json.dumps(report, indent=1)
-    if str(path) == "-":
-        sys.stdout.write(text + "\n")
-    else:
-        path.write_text(text + "\n")
-
-
-def _show(rows: Sequence[evaluation.Row], *, published: bool) -> None:
-    """Print three tables that fit 80 columns: the protocol's, the errors at a frame, the mm."""
-    out.print(
-        _table("mse_cm2", "cm², mean over frames 1..k (the protocol)", rows, published=published)
-    )
-    out.print(_table("mse_cm2_at", "cm², at frame k", rows))
-    out.print(_table("mpjpe_mm", "mean distance per joint in mm, at frame k", rows))
-    for row in rows:
-        if row.coverage is not None:
-            told = ", ".join(f"{p:.0%}: {q:.1%}" for p, q in row.coverage.items())
-            out.print(f"coverage of the radius, {row.method}, subject {row.subject}: {told}")
-
-
-def _table(
-    measure: str,
-    title: str,
-    rows: Sequence[evaluation.Row],
-    *,
-    published: bool = False,
-) -> Table:
-    table = Table(title=title, title_justify="left", box=box.SIMPLE, pad_edge=False)
-    table.add_column("subject, method", no_wrap=True)
-    for frame in FRAMES:
-        table.add_column(f"{frame}\n{frame * 1000 / 30:.0f} ms", justify="right", no_wrap=True)
-    for subject in dict.fromkeys(row.subject for row in rows):
-        for row in rows:
-            if row.subject == subject:
-                cells = [f"{value:.2f}" for value in getattr(row.scores, measure)]
-                table.add_row(f"{subject}  {row.method}", *cells)
-        for (name, whose), values in evaluation.PUBLISHED.items():
-            if published and whose == subject:
-                table.add_row(f"{subject}  {name}", *(f"{v:.2f}" for v in values), style="dim")
-        table.add_section()
-    return table
 
 
 def _command_line() -> str:

@@ -66,6 +66,8 @@ class Figures:
 
     def summarise(self, share: float) -> dict[str, Any]:
         """Write the figures of a blend as they are stored with a version."""
+        if not len(self):
+            return {"clips": 0}
         after, found = self.after[SHARES.index(share)], self.compare(share)
         won = int((after[:, -1] < self.before[:, -1]).sum())
         return {
@@ -133,7 +135,12 @@ class Ruling:
 
 
 def compare(before: Float[np.ndarray, " clip"], after: Float[np.ndarray, " clip"]) -> Comparison:
-    """Give the ratio of two sums over clips, and its jackknife standard error."""
+    """Give the ratio of two sums over clips, and its jackknife standard error.
+
+    Of no clip at all nothing is known: 1, give or take anything.
+    """
+    if not len(before):
+        return Comparison(1.0, float("inf"))
     ratio = float(after.sum() / max(before.sum(), 1e-9))
     count = len(before)
     if count < 2:

@@ -12,6 +12,9 @@ from app.personalize.run import Outcome, Task, TaskClip
 from app.storage import results, trials, users, versions, weights
 from app.storage.results import Result
 
+LIVED_MIN_S = 10.0
+"""A body that was seen live for less than this has no voice in whose the trials are."""
+
 
 async def prepare_task(
     tx: AsyncSession,
@@ -39,6 +42,7 @@ async def prepare_task(
     if blob is not None and active.base_sha256 != base_sha256:
         old_base = await _read_weights(tx, active.base_sha256)
         blob = None if old_base is None else blob
+    lived = await users.read_lived(tx, held.user_uuid)
     return Task(
         skeleton=user.skeleton,
         up=user.up,
@@ -50,6 +54,7 @@ async def prepare_task(
         steps=steps,
         active_base=old_base,
         active_trials=await versions.list_trials(tx, held.user_uuid, active.number),
+        lived=None if lived is None or lived.seconds < LIVED_MIN_S else list(lived.bones),
     )
 
 

@@ -1,6 +1,6 @@
 """The table of the pinned protocol: every method on every subject, in one run."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -33,7 +33,15 @@ PUBLISHED: dict[tuple[str, str], tuple[float, ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One line of the table: a method on a subject."""
+    """One line of the table: a method on a subject.
+
+    Attributes:
+        method, subject: of what and on whom.
+        windows, clips: how many were tested.
+        scores: the errors.
+        coverage: of the radius, by level.
+        version: what the judge said of a personal version.
+    """
 
     method: str
     subject: str
@@ -41,6 +49,7 @@ class Row:
     clips: int
     scores: Scores
     coverage: dict[float, float] | None = None
+    version: Mapping[str, Any] | None = None
 
     def as_json(self) -> dict[str, Any]:
         """Give the row as the command line writes it."""
@@ -53,6 +62,8 @@ class Row:
         }
         if self.coverage is not None:
             found["coverage"] = {str(level): share for level, share in self.coverage.items()}
+        if self.version is not None:
+            found["version"] = dict(self.version)
         return found
 
 

@@ -5,11 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from typer.testing import CliRunner
 
 from app.cli import app
-from models.checkpoint import load_checkpoint
-from tests.unit.models.conftest import believable_motion
+from models.checkpoint import dump_checkpoint, load_checkpoint
+from models.data.synthetic import ACTIONS, SyntheticPerson
+from models.predictor import Predictor
+from tests.unit.models.conftest import SMALL, believable_motion
 
 STEPS = ["--steps", "2", "--batch", "8"]
 
@@ -78,6 +81,11 @@ def test_without_subjects_there_is_one_row_per_method(collection: Path, tmp_path
     ("arguments", "words"),
     [
         (["evaluate", "--data", "nowhere"], "nowhere"),
+        (["evaluate", "--data", "{data}", "--personalize-trials", "1"], "needs --subjects"),
+        (
+            ["evaluate", "--data", "{data}", "--subjects", "1", "--personalize-trials", "1"],
+            "cannot be tested on",
+        ),
         (["evaluate", "--data", "{data}", "--model", "{data}"], "not a Kinecast checkpoint"),
         (["evaluate", "--data", "{data}", "--subjects", "99"], "subjects 99"),
         (["pretrain", "--data", "nowhere", "--out", "{out}"], "nowhere"),
@@ -101,3 +109,31 @@ def test_bad_usage_is_one_clear_line_and_exit_status_2(
     assert result.exit_code == 2
     assert words in result.stderr.replace("\n", " ")
     assert "Traceback" not in result.output
+
+
+def test_a_person_is_fine_tuned_judged_and_scored(tmp_path: Path) -> None:
+    clips = [SyntheticPerson(1).record(ACTIONS[i % 6], 2.0) for i in range(8)]
+    people = tmp_path / "people.npz"
+    np.savez(
+        people,
+        frames=np.concatenate(clips),
+        lengths=np.array([len(clip) for clip in clips]),
+        subject=np.array(["1"] * 8),
+        action=np.array([ACTIONS[i % 6] for i in range(8)]),
+        trial=np.array(["1"] * 6 + ["2"] * 2),
+        rate_hz=30.0,
+    )
+    base = tmp_path / "base.safetensors"
+    torch.manual_seed(0)
+    base.write_bytes(dump_checkpoint(Predictor(config=SMALL), {}))
+    arguments = ["--data", people, "--model", base, "--subjects", "1", "--test-trials", "2"]
+    arguments += ["--finetune-steps", "3"]
+    report = json.loads(run("evaluate", *arguments, "--personalize-trials", "1", "--json", "-"))
+    rows = {row["method"]: row for row in report["rows"]}
+    assert set(rows) == {"zero_velocity", "base", "personal"}
+    version = rows["personal"]["version"]
+    assert version["verdict"] in {"promote", "reject"}
+    if version["verdict"] == "reject":
+        assert rows["personal"]["mse_cm2"] == rows["base"]["mse_cm2"]
+    else:
+        assert rows["personal"]["mse_cm2"] != rows["base"]["mse_cm2"]

@@ -109,4 +109,9 @@ def test_figures_say_how_many_clips_were_won() -> None:
     told = figures.summarise(SHARES[0])
     assert (told["clips"], told["clips_won"], told["clips_lost"]) == (7, 4, 3)
     assert len(told["before_cm2"]) == len(told["after_cm2"]) == len(FRAMES)
-    assert len(no_figures()) == 0
+
+
+def test_without_later_parts_the_motion_left_out_decides() -> None:
+    assert judge(make_evidence(no_figures(), make_figures(0.9))).verdict is Verdict.PROMOTE
+    assert judge(make_evidence(no_figures(), make_figures(1.1))).verdict is Verdict.REJECT
+    assert no_figures().summarise(SHARES[0]) == {"clips": 0}

@@ -1,0 +1,27 @@
+"""Files that commands of researchers read and write: recordings in, figures and weights out."""
+
+import os
+from pathlib import Path
+
+from app.commands.output import fail
+from models.data.clips import Clip, load_clips
+from models.data.utd_mhad import RecordingError
+
+
+def read_clips(path: Path, subjects: str | None) -> list[Clip]:
+    """Read recordings of all subjects or of some, such as 1,3,5; on failure say so and exit."""
+    try:
+        return load_clips(path, subjects=subjects.split(",") if subjects else None)
+    except (OSError, RecordingError) as error:
+        fail(str(error), status=2)
+
+
+def refuse_place(option: str, path: Path) -> None:
+    """Refuse what no file can be written to, before hours of computing rather than after."""
+    if path.is_dir():
+        fail(f"{option}: {path} is a folder, not a file", status=2)
+    nearest = next(folder for folder in path.absolute().parents if folder.exists())
+    if not nearest.is_dir():
+        fail(f"{option}: {nearest} is no folder", status=2)
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        fail(f"{option}: nothing may be written in {nearest}", status=2)
