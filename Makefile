@@ -10,7 +10,7 @@ TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 TORCH := torch==2.13.0
 
 .DEFAULT_GOAL := help
-.PHONY: reproduce stream-check performance picture help serve test lint types imports check-migrations unit clean
+.PHONY: personal reproduce stream-check performance picture help serve test lint types imports check-migrations unit clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
@@ -65,6 +65,9 @@ stream-check: $(VENV)/.test ## stream real recordings in real time and compare w
 
 performance: $(VENV)/.test ## the figures of docs/performance.md; on an idle machine (about 6 min)
 	$(BIN)/python -m benchmarks.performance $(ARGS)
+
+personal: $(VENV)/.test ## what personal versions give real people, through a running service (about 30 min)
+	UTD_MHAD=$${UTD_MHAD:-$(SHARED)/utd-mhad} $(BIN)/python -m benchmarks.personal $(ARGS)
 
 picture: $(VENV)/.test ## draw docs/figures/demo.svg
 	$(BIN)/python -m benchmarks.picture $(ARGS)

@@ -95,11 +95,12 @@ def _read(data: Path, *, subject: str | None, trials: str | None, finetune: bool
     for clip in clips:
         groups.setdefault(clip.trial, []).append(clip)
     return [
-        _make_body(f"trial {trial}", group, finetune=finetune) for trial, group in groups.items()
+        make_body(f"trial {trial}", group, finetune=finetune) for trial, group in groups.items()
     ]
 
 
-def _make_body(label: str, clips: Sequence[Clip], *, finetune: bool) -> Batch:
+def make_body(label: str, clips: Sequence[Clip], *, finetune: bool) -> Batch:
+    """Make the request that uploads clips as one trial."""
     content = {
         "label": label,
         "clips": [_write_clip(clip) for clip in clips],

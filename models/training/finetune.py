@@ -44,7 +44,7 @@ class FinetuneConfig:
         seed: of sampling and augmentation.
     """
 
-    steps: int = 300
+    steps: int = 240
     batch: int = 32
     learning_rate: float = 2e-3
     warm_up: float = 0.15
