@@ -77,7 +77,7 @@ class Bench:
         told = {"seconds": round(seconds, 1), "clips_unused": unused}
         if job is not None:
             told |= {name: job[name] for name in ("state", "reason", "message", "version")}
-        return told | {"active": (await self.ask(f"/v1/users/{user}"))["active"]["number"]}
+        return told | {"active": (await self.ask(f"/v1/users/{user}"))["version"]["number"]}
 
     async def ask(self, path: str) -> dict[str, Any]:
         """Ask the service with the admin key."""
