@@ -36,6 +36,7 @@ from app.live.library import Library
 from app.live.registry import Registry
 from app.live.sweeper import Sweeper
 from app.live.telemetry import Telemetry
+from app.live.witness import Witness
 from app.settings import Settings
 from app.storage.announcements import Topic
 from app.storage.bootstrap import load_audit_key
@@ -109,6 +110,7 @@ def create_app(
     state.registry = _make_registry(state.library, settings, state.telemetry)
     state.job_watch = _make_job_watch(state.registry, state.database, settings)
     state.sweeper = Sweeper(state.database, abandoned_s=settings.recording_abandoned_s)
+    state.witness = Witness(state.database, state.registry.list_connections)
     state.housekeeper = _make_housekeeper(state.registry, state.database, settings)
     state.worker = worker
     state.draining = False
@@ -189,7 +191,7 @@ def _add_middleware(app: FastAPI, settings: Settings) -> None:
 async def _live(app: FastAPI) -> AsyncIterator[None]:
     """Start the parts in order, and stop them the other way round."""
     state = app.state
-    watches = (state.registry, state.job_watch, state.sweeper, state.housekeeper)
+    watches = (state.registry, state.job_watch, state.sweeper, state.witness, state.housekeeper)
     try:
         await check_current(state.database)
         state.audit_key = load_audit_key(state.settings)

@@ -104,8 +104,10 @@ async def _write(database: Database, user: User, file: IO[bytes]) -> None:
         async with database.read() as tx:
             stored = await trials.list_all(tx, user)
             made = await versions.list_all(tx, user.uuid)
+            lived = await users.read_lived(tx, user.uuid)
             tables: dict[str, Any] = {
                 "user": show_plainly(user),
+                "body": {"seen_live": None if lived is None else asdict(lived)},
                 "events": [asdict(event) for event in await audit.list_of_user(tx, user.uuid)],
                 "trials": [asdict(trial) for trial in stored],
                 "jobs": [asdict(job) for job in await jobs.list_of_user(tx, user.uuid)],

@@ -126,6 +126,7 @@ async def _serve(websocket: WebSocket, socket: ClientSocket, user_id: str, codec
             )
             with state.registry.keep(connection):
                 await connection.run()
+            await state.witness.note(connection)
         finally:
             if query.session is None:
                 await _forget(websocket, opened)

@@ -4,6 +4,7 @@ Everything here works on poses in the net's skeleton with y up, and costs one sm
 per frame. Its thresholds were measured on recordings of real people; tests hold them to it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +32,8 @@ from models.skeleton import (
     SPINE,
 )
 
+BONES = 8
+"""Lengths that `measure_bones` gives."""
 FACTS = 4
 """Numbers that `measure_body` keeps of a frame."""
 _TORSO, _UPRIGHT, _FACING, _ORDER = range(FACTS)
@@ -52,10 +55,11 @@ class GuardRules:
         forecast_speed_max: m/s of any joint within a forecast.
         frozen_poses: identical poses in a row that count as a frozen sensor.
         stranger_s: bones are measured over this long.
-        stranger_max: mean difference of the logarithms of bone lengths at which that shows somebody
-            else. Sensors place joints so differently from pose to pose that nothing smaller tells:
-            of the seconds of seven people, under 1 in 100 are as far from their owner's trial 1,
-            and 1 in 5 from somebody else's.
+        stranger_max: mean difference of the logarithms of bone lengths at which one such measure
+            shows somebody else. Sensors place joints so differently from pose to pose that nothing
+            smaller tells.
+        stranger_long_s: over this long, the median of the measures counts too.
+        stranger_long_max: and that shows somebody else at this difference already.
     """
 
     torso_min_m: float = 0.25
@@ -67,7 +71,9 @@ class GuardRules:
     forecast_speed_max: float = 25.0
     frozen_poses: int = 10
     stranger_s: float = 1.0
-    stranger_max: float = 0.15
+    stranger_max: float = 0.18
+    stranger_long_s: float = 5.0
+    stranger_long_max: float = 0.13
 
 
 def _combine(*terms: tuple[int, float]) -> Float[np.ndarray, "20"]:
@@ -195,10 +201,24 @@ def measure_bones(poses: Float[np.ndarray, "time 20 3"]) -> Float[np.ndarray, "8
 
 
 def is_stranger(
-    bones: Float[np.ndarray, "8"], known: Float[np.ndarray, "8"], *, rules: GuardRules
+    seconds: Sequence[Float[np.ndarray, "8"]],
+    known: Float[np.ndarray, "8"],
+    *,
+    rules: GuardRules,
+    long: bool = False,
 ) -> bool:
-    """Tell whether bones, as `measure_bones` gives them, are another person's than those known."""
-    return float(np.abs(bones - known).mean()) > rules.stranger_max
+    """Tell whether somebody else is seen than the one whose bones are known.
+
+    Args:
+        seconds: what `measure_bones` gave for the last seconds, the newest at the end.
+        known: the bones of the person.
+        rules: the thresholds.
+        long: whether these measures are of as long as `rules.stranger_long_s`.
+    """
+    if float(np.abs(seconds[-1] - known).mean()) > rules.stranger_max:
+        return True
+    person = np.median(np.stack(seconds), axis=0)
+    return long and float(np.abs(person - known).mean()) > rules.stranger_long_max
 
 
 _BONES: tuple[tuple[tuple[int, int], ...], ...] = (

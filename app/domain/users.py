@@ -8,6 +8,8 @@ from typing import Literal
 from uuid import UUID
 
 UpAxis = Literal["y", "-y", "z"]
+LIVED_MAX_S = 600.0
+"""What was seen counts for this long at most, so that what is seen next can still change it."""
 
 USER_ID_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 """User ids are chosen by the operator, and case-sensitive."""
@@ -37,6 +39,27 @@ class User:
     display_name: str | None
     created_at: datetime
     auto_promote: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Lived:
+    """Whose body was seen on a user's streams.
+
+    Attributes:
+        bones: as `app.domain.body.measure_bones` gives them.
+        seconds: how long it was seen.
+    """
+
+    bones: tuple[float, ...]
+    seconds: float
+
+    def join(self, newer: "Lived") -> "Lived":
+        """Blend in what was seen later, by seconds."""
+        seconds = self.seconds + newer.seconds
+        share = newer.seconds / seconds
+        pairs = zip(self.bones, newer.bones, strict=True)
+        bones = tuple((1 - share) * old + share * new for old, new in pairs)
+        return Lived(bones, min(seconds, LIVED_MAX_S))
 
 
 def pseudonym(user_id: str, *, key: bytes) -> str:

@@ -10,6 +10,7 @@ from msgspec import UNSET
 
 from app.domain.errors import DrainingError, KinecastError, NotReadyError, VersionUnavailableError
 from app.domain.streams import JobNews, OpenStream
+from app.domain.users import Lived
 from app.live.actions import Action, Send, Store, Submit, Ticket, describe
 from app.live.codec import Codec
 from app.live.engine import Engine
@@ -140,6 +141,10 @@ class Connection:
         """Tell the client how a job of its user stands."""
         metrics = UNSET if news.metrics is None else news.metrics
         self._outbox.put(JobMessage(news.id, news.state, news.progress, metrics))
+
+    def take_lived(self) -> Lived | None:
+        """Give whose body was seen since the last time, None if not for long enough."""
+        return self._session.sightings.take()
 
     def tick(self, now: float) -> None:
         """Do what is due with the time: about once a second."""

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float, Float32
 from torch import Tensor
 
+from app.domain.body import BONES
 from app.domain.errors import VersionUnavailableError
 from app.domain.motion import Fallback, RequestedVersion, VersionStamp
 from app.live.breaker import Breaker
@@ -253,6 +254,18 @@ def _to_displacement(
     frames: Float[Tensor, "batch horizon 20 3"], given: Float[Tensor, "batch observe 20 3"]
 ) -> Float32[np.ndarray, "batch horizon 20 3"]:
     return (frames - given[:, -1:]).float().numpy()
+
+
+def read_bones(forecaster: Forecaster) -> tuple[float, ...] | None:
+    """Give the bones of the person that a decoder was made for, None where it does not say."""
+    if not isinstance(forecaster, PersonalDecoder):
+        return None
+    bones = forecaster.metadata.get("bones")
+    if not isinstance(bones, list) or len(bones) != BONES:
+        return None
+    if not all(isinstance(one, float) and math.isfinite(one) for one in bones):
+        return None
+    return tuple(bones)
 
 
 def _read_radius_scale(forecaster: Forecaster | None) -> float | None:

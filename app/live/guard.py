@@ -3,6 +3,7 @@
 What a body is like is in `app.domain.body`; here is what only windows and forecasts need.
 """
 
+from collections import deque
 from collections.abc import Callable
 
 import numpy as np
@@ -28,6 +29,9 @@ __all__ = [
     "moves_impossibly",
 ]
 MEASURE_EVERY_S = 0.25
+IDLE_EVERY_S = 1.0
+"""How often bodies are measured whose bones nobody knows: only to remember whose they are."""
+SLACK_S = 1e-3
 
 
 class Likeness:
@@ -38,17 +42,25 @@ class Likeness:
 
     Attributes:
         known: that body's bones, as `measure_bones` gives them; None if nobody knows.
+        measured_t: when the body that is seen was last measured, on the client's clock.
     """
 
     def __init__(self, rules: GuardRules) -> None:
         self.known: Float[np.ndarray, "8"] | None = None
         self._rules = rules
+        self._seen: deque[tuple[float, Float[np.ndarray, "8"]]] = deque()
         self.clear()
+
+    @property
+    def bones(self) -> Float[np.ndarray, "8"] | None:
+        """The bones of whoever was seen in the second before `measured_t`."""
+        return self._seen[-1][1] if self._seen else None
 
     def clear(self) -> None:
         """Forget who was seen."""
         self._is_stranger = False
-        self._measured_t = -np.inf
+        self.measured_t = -np.inf
+        self._seen.clear()
 
     def look(
         self,
@@ -61,15 +73,27 @@ class Likeness:
             times: of all frames at hand, seconds.
             measure: gives the poses from a frame on, in the net's skeleton.
         """
-        newest = float(times[-1])
-        if self.known is None or newest - times[0] < self._rules.stranger_s:
+        newest, rules = float(times[-1]), self._rules
+        if newest - times[0] < rules.stranger_s:
             return False
-        if newest - self._measured_t >= MEASURE_EVERY_S:
-            first = int(np.searchsorted(times, newest - self._rules.stranger_s))
-            bones = measure_bones(measure(first))
-            self._is_stranger = is_stranger(bones, self.known, rules=self._rules)
-            self._measured_t = newest
+        every_s = IDLE_EVERY_S if self.known is None else MEASURE_EVERY_S
+        if newest - self.measured_t >= every_s - SLACK_S:
+            first = int(np.searchsorted(times, newest - rules.stranger_s))
+            self._remember(newest, measure_bones(measure(first)))
+            self._is_stranger = self.known is not None and self._judge(self.known)
         return self._is_stranger
+
+    def _remember(self, t: float, bones: Float[np.ndarray, "8"]) -> None:
+        self.measured_t = t
+        self._seen.append((t, bones))
+        while t - self._seen[0][0] > self._rules.stranger_long_s - self._rules.stranger_s + SLACK_S:
+            self._seen.popleft()
+
+    def _judge(self, known: Float[np.ndarray, "8"]) -> bool:
+        seconds = [bones for _, bones in self._seen]
+        seen_s = self._seen[-1][0] - self._seen[0][0] + self._rules.stranger_s
+        long = seen_s >= self._rules.stranger_long_s - 1.5 * MEASURE_EVERY_S
+        return is_stranger(seconds, known, rules=self._rules, long=long)
 
 
 def moves_impossibly(

@@ -22,7 +22,7 @@ from app.domain.errors import (
 )
 from app.domain.motion import RequestedVersion, VersionStamp
 from app.domain.versions import ActiveVersion
-from app.live.decoders import Decoders, UnusableWeightsError
+from app.live.decoders import Decoders, UnusableWeightsError, read_bones
 from app.live.work import Choice
 from app.storage import versions, weights
 from app.storage.database import Database
@@ -130,7 +130,7 @@ class Library:
         previous = None
         if self._keeps_failing(active.sha256):
             previous = await self._load_previous(user_uuid)
-        return Choice(stamp, forecaster, reason, previous)
+        return Choice(stamp, forecaster, reason, previous, read_bones(forecaster))
 
     async def _load_previous(self, user_uuid: UUID) -> Choice | None:
         """Give what was active before, None where that is the base or cannot be used either."""
@@ -145,7 +145,8 @@ class Library:
         stamp = VersionStamp(
             previous.number, "personal", previous.sha256, share=1.0, fallback="previous_version"
         )
-        return Choice(stamp, forecaster, reason="weights_missing")
+        bones = read_bones(forecaster)
+        return Choice(stamp, forecaster, reason="weights_missing", bones=bones)
 
     async def _pin(self, user_uuid: UUID, number: int) -> Choice:
         try:
@@ -158,7 +159,7 @@ class Library:
             message = f"The weights of version {number} cannot be used: {error}."
             raise VersionUnavailableError(message) from None
         stamp = VersionStamp(number, "personal", version.sha256, requested=number, share=1.0)
-        return Choice(stamp, forecaster)
+        return Choice(stamp, forecaster, bones=read_bones(forecaster))
 
     async def _load(self, sha256: str, base_sha256: str | None) -> Forecaster:
         """Give a decoder behind its base, both from the database if they are not there yet.

@@ -21,6 +21,7 @@ from app.domain.errors import (
 )
 from app.domain.limits import Limits
 from app.domain.streams import JobNews, OpenStream, Verdict
+from app.domain.users import Lived
 from app.live.telemetry import Telemetry
 from app.live.work import Choice
 
@@ -54,6 +55,10 @@ class LiveStream(Protocol):
 
     def tick(self, now: float) -> None:
         """Do what is due with the time."""
+        ...
+
+    def take_lived(self) -> Lived | None:
+        """Give whose body was seen since the last time, None if not for long enough."""
         ...
 
     def tell_job(self, news: JobNews) -> None:

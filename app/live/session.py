@@ -116,6 +116,7 @@ class Session:
             rules=rules,
             spec=self._spec,
         )
+        self.sightings = self._buffer.sightings
         self._clock = ClientClock()
         self._ledger = Ledger()
         self._rate = RateLimit(

@@ -33,6 +33,7 @@ from app.live.frames import (
     is_within,
 )
 from app.live.history import History
+from app.live.sightings import Sightings
 from models.skeleton import Skeleton
 from models.spec import MotionSpec
 
@@ -91,6 +92,7 @@ class FrameBuffer:
         self._root_relative = root_relative or skeleton.root_relative
         self._history = History(skeleton, up=up, rules=self.rules)
         self.likeness = guard.Likeness(self.rules.guard)
+        self.sightings = Sightings()
         self._grid = -np.arange(self.spec.observe - 1, -1, -1) / self.spec.rate_hz
         self._steps: deque[float] = deque(maxlen=_STEPS)
         self._last_t: float | None = None
@@ -241,7 +243,10 @@ class FrameBuffer:
             "not_this_person": self.likeness.look(times, self._give_poses),
         }
         body = guard.judge_body(self._history.facts, times, rules=rules, whole=whole)
-        return tuple(dict.fromkeys([*(flag for flag in flags if flags[flag]), *body]))
+        found = tuple(dict.fromkeys([*(flag for flag in flags if flags[flag]), *body]))
+        if self.likeness.bones is not None and self.likeness.measured_t == times[-1]:
+            self.sightings.note(self.likeness.measured_t, self.likeness.bones, found)
+        return found
 
 
 def assemble(

@@ -51,7 +51,8 @@ def tell_apart(
     bodies = _sort(trials, rules)
     if not bodies:
         return Bodies(frozenset(), frozenset(), is_open=False)
-    votes = [len(body.trials) + _was_seen(body, lived, rules) for body in bodies]
+    seen = None if lived is None else _find_seen(bodies, lived, rules)
+    votes = [len(body.trials) + (body is seen) for body in bodies]
     chosen = bodies[int(np.argmax(votes))]
     if sum(vote == max(votes) for vote in votes) > 1:
         every = frozenset(trial for body in bodies for trial in body.trials)
@@ -74,5 +75,15 @@ def _sort(trials: dict[str, list[Bones]], rules: QualityRules | None) -> list[_B
     return bodies
 
 
-def _was_seen(body: _Body, lived: Bones | None, rules: QualityRules | None) -> bool:
-    return lived is not None and not is_stranger([lived], body.bones, rules=rules)
+def _find_seen(bodies: list[_Body], lived: Bones, rules: QualityRules | None) -> _Body | None:
+    """Tell which body was seen live: the one that is most like it, if that is like it at all.
+
+    It was seen for at least as long as some clips take, so it counts as measured so often.
+    """
+    nearest = min(bodies, key=lambda body: _tell_distance(body, lived))
+    often = [lived] * len(nearest.bones)
+    return None if is_stranger(often, nearest.bones, rules=rules) else nearest
+
+
+def _tell_distance(body: _Body, lived: Bones) -> float:
+    return float(np.abs(np.median(np.stack(body.bones), axis=0) - lived).mean())

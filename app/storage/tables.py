@@ -88,6 +88,7 @@ class Base(DeclarativeBase):
         frozenset[Scope]: Scopes,
         dict[str, Any]: JSON(none_as_null=True),
         list[str]: JSON(none_as_null=True),
+        list[float]: JSON(none_as_null=True),
     }
 
 
@@ -111,6 +112,8 @@ class UserRow(Base):
     last_version: Mapped[int] = mapped_column(default=0, server_default=text("0"))
     served_at: Mapped[datetime | None]
     refitted_for: Mapped[str | None] = mapped_column(String(64))
+    lived_bones: Mapped[list[float] | None]
+    lived_s: Mapped[float] = mapped_column(default=0.0, server_default=text("0"))
 
 
 class KeyRow(Base):

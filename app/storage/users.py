@@ -12,7 +12,7 @@ from sqlalchemy.ext.asyncio import AsyncSession
 from app.domain.errors import UnknownUserError, UserExistsError
 from app.domain.events import Action
 from app.domain.pagination import Cursor, Page
-from app.domain.users import USER_ID_PATTERN, UpAxis, User, pseudonym
+from app.domain.users import USER_ID_PATTERN, Lived, UpAxis, User, pseudonym
 from app.storage import audit, weights
 from app.storage.announcements import Topic, announce
 from app.storage.paging import page_query
@@ -128,6 +128,28 @@ async def erase(tx: AsyncSession, user_id: str, *, actor: UUID | None, audit_key
     subject = pseudonym(user_id, key=audit_key)
     audit.record(tx, Action.USER_DELETED, actor=actor, subject=subject)
     announce(tx, Topic.STREAMS)
+
+
+async def note_lived(tx: AsyncSession, user_uuid: UUID, newer: Lived) -> None:
+    """Blend what was seen on a stream into what is known; of an erased user nothing is kept."""
+    row = await tx.scalar(
+        select(UserRow).where(UserRow.uuid == user_uuid).with_for_update(key_share=True)
+    )
+    if row is None:
+        return
+    known = _to_lived(row)
+    joined = newer if known is None else known.join(newer)
+    row.lived_bones, row.lived_s = list(joined.bones), joined.seconds
+
+
+async def read_lived(tx: AsyncSession, user_uuid: UUID) -> Lived | None:
+    """Tell whose body was seen on a user's streams, None if nobody's was."""
+    row = await tx.get(UserRow, user_uuid)
+    return None if row is None else _to_lived(row)
+
+
+def _to_lived(row: UserRow) -> Lived | None:
+    return None if row.lived_bones is None else Lived(tuple(row.lived_bones), row.lived_s)
 
 
 def _require_possible(user_id: str) -> None:

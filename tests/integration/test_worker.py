@@ -6,9 +6,12 @@ from contextlib import asynccontextmanager
 import pytest
 from sqlalchemy import text
 
+from app.domain.body import measure_bones
 from app.domain.jobs import JobReason, JobState
-from app.domain.recordings import RawFrames
+from app.domain.recordings import RawFrames, unpack_frames
 from app.domain.trials import ClipFlaw
+from app.domain.users import Lived
+from app.personalize.promote import prepare_task
 from app.storage import jobs, trials, users, versions, weights
 from app.worker.loop import Worker, WorkerRules
 from app.worker.setup import store_base
@@ -16,6 +19,7 @@ from tests.personal_support import (
     BASE_SHA256,
     add_trial,
     add_user,
+    claim,
     enqueue,
     make_clip,
     record_frames,
@@ -151,6 +155,44 @@ async def test_one_trial_against_one_leaves_nobodys_weights_active(database):
     assert active.number == 2
     assert trained_on == sorted([str(second.id), str(third.id)])
     assert str(first.id) not in trained_on
+
+
+@pytest.mark.parametrize("lived", [0, 1])
+async def test_who_was_seen_live_decides_between_one_trial_and_another(database, lived):
+    clips = [make_stranger(), [make_clip(i, frames=record_frames(seed=1)) for i in range(4)]]
+    user, first, _ = await add_job(database, clips=clips[0])
+    worker = make_worker(database, "quick")
+    await worker.run_pending()
+    async with database.write() as tx:
+        await users.note_lived(tx, user.uuid, Lived(measure(clips[lived]), 30.0))
+    second = await add_more(database, user, clips[1])
+    await worker.run_pending()
+    async with database.read() as tx:
+        active = await versions.read_active_of(tx, user.uuid)
+        trained_on = (await versions.get(tx, user.uuid, active.number)).metrics["trials"]
+        flaws = [
+            {clip.flaw for clip in (await trials.get(tx, user, trial.id)).clips}
+            for trial in (first, second)
+        ]
+    assert trained_on == [str((first, second)[lived].id)]
+    assert flaws[lived] == {None}
+    assert flaws[1 - lived] == {ClipFlaw.NOT_THIS_PERSON}
+
+
+def measure(clips):
+    """The bones of whoever is in clips."""
+    return tuple(measure_bones(unpack_frames([clips[0].payload]).joints).tolist())
+
+
+@pytest.mark.parametrize(("seconds", "counts"), [(9.0, False), (10.0, True)])
+async def test_a_body_that_was_hardly_seen_has_no_voice(database, seconds, counts):
+    user, _, _ = await add_job(database)
+    async with database.write() as tx:
+        await users.note_lived(tx, user.uuid, Lived((0.5,) * 8, seconds))
+    held = await claim(database)
+    async with database.read() as tx:
+        task = await prepare_task(tx, held, base=b"base", base_sha256=BASE_SHA256, threads=1)
+    assert task.lived == ([0.5] * 8 if counts else None)
 
 
 async def test_progress_is_told_and_cancelling_takes_a_second(database):

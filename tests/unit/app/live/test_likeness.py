@@ -6,10 +6,11 @@ import pytest
 from app.domain.body import GuardRules, is_stranger, measure_bones
 from app.domain.motion import VersionStamp
 from app.live.actions import Submit
+from app.live.guard import Likeness
 from app.live.protocol import Configure, Forecast
 from app.live.work import Choice
 from models.baselines import ZeroVelocity
-from models.data import utd_mhad as recordings
+from models.data.clips import load_clips
 from models.data.synthetic import SyntheticPerson
 from tests.unit.app.live.test_session import PERSON, Stream, frame
 
@@ -78,28 +79,46 @@ def test_bones_of_another_size_are_somebody_elses(scale: float) -> None:
     for seed in range(5):
         person = SyntheticPerson(seed).record("walk", 4.0).astype(np.float64)
         known = measure_bones(person[:60])
-        assert not is_stranger(measure_bones(person[60:90]), known, rules=RULES)
-        assert is_stranger(measure_bones(scale * person[60:90]), known, rules=RULES)
+        assert not is_stranger([measure_bones(person[60:90])], known, rules=RULES)
+        assert is_stranger([measure_bones(scale * person[60:90])], known, rules=RULES)
+
+
+def test_a_smaller_difference_shows_over_five_seconds() -> None:
+    asked = watch(KNOWN + 0.15, 240)
+    strange = ["not_this_person" in action.ticket.ready.flags for action in asked]
+    first = asked[strange.index(True)].ticket.seq / 30
+    assert 4.5 < first < 6
+    assert all(strange[strange.index(True) :])
+
+
+def look_at(poses: np.ndarray, known: np.ndarray) -> list[bool]:
+    """Whether each second of a stream is taken for somebody else's."""
+    likeness = Likeness(RULES)
+    likeness.known = known
+    times = np.arange(len(poses)) / 30
+    found = []
+    for i in range(0, len(poses), 2):
+        first = max(0, i - 40)
+        recent = poses[first : i + 1]
+        found.append(likeness.look(times[first : i + 1], lambda k, recent=recent: recent[k:]))
+    return found[15::15]
 
 
 @pytest.mark.recordings
 def test_hardly_a_second_of_ones_own_is_taken_for_somebody_elses(utd_mhad) -> None:
-    clips: dict[str, list[np.ndarray]] = {}
-    later: dict[str, list[np.ndarray]] = {}
-    for path in recordings.find_mats(utd_mhad)[::3]:
-        about = recordings.parse_name(path.name)
-        poses = recordings.read_mat(path).astype(np.float64)
-        (clips if about.trial == "1" else later).setdefault(about.subject, []).append(poses)
+    people = ("1", "3", "5", "7")
+    clips = load_clips(utd_mhad, subjects=people, trials=("1", "2"))
+    first, second = ([clip for clip in clips if clip.trial == trial] for trial in "12")
     known = {
-        subject: np.median([measure_bones(poses) for poses in mine], axis=0)
-        for subject, mine in clips.items()
+        name: np.median([measure_bones(c.poses) for c in first if c.subject == name], axis=0)
+        for name in people
     }
     own, other = [], []
-    for subject, mine in later.items():
-        seconds = [poses[i : i + 30] for poses in mine for i in range(0, len(poses) - 30, 30)]
-        for bones in map(measure_bones, seconds):
-            own.append(is_stranger(bones, known[subject], rules=RULES))
-            strangers = [known[name] for name in known if name != subject]
-            other += [is_stranger(bones, theirs, rules=RULES) for theirs in strangers]
-    assert np.mean(own) < 0.02
-    assert np.mean(other) > 0.15
+    for name in people:
+        seen = np.concatenate([c.poses for c in second if c.subject == name]).astype(np.float64)
+        own += look_at(seen, known[name])
+        for stranger in set(people) - {name}:
+            other += look_at(seen, known[stranger])
+    assert len(own) > 200
+    assert np.mean(own) <= 0.001
+    assert np.mean(other) > 0.03

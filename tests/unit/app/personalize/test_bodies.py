@@ -43,6 +43,16 @@ def test_who_was_seen_live_is_one_voice_only() -> None:
     assert tell_apart(trials | {"d": trial(ANN)}, BOB).person == {"a", "b", "d"}
 
 
+def test_who_was_seen_live_speaks_for_the_body_that_is_most_like_theirs() -> None:
+    noisy = {
+        "a": [BOB + 0.1 * DRAW.standard_normal(8) for _ in range(20)],
+        "b": [ANN + 0.1 * DRAW.standard_normal(8) for _ in range(20)],
+    }
+    assert tell_apart(noisy, None).is_open
+    assert tell_apart(noisy, ANN + 0.02).person == {"b"}
+    assert tell_apart(noisy, BOB - 0.02).person == {"a"}
+
+
 def test_trials_without_any_good_clip_have_no_voice() -> None:
     found = tell_apart({"a": [], "b": trial(ANN)}, None)
     assert found.person == {"b"}
