@@ -8,6 +8,7 @@ import pytest
 from app.domain.errors import DrainingError, KinecastError, NotReadyError, TooFastError
 from app.domain.motion import VersionStamp
 from app.domain.streams import JobNews, OpenStream, Verdict
+from app.domain.users import Lived
 from app.live.registry import Registry
 from app.live.telemetry import Telemetry
 from app.live.work import Choice
@@ -34,6 +35,9 @@ class FakeStream:
 
     def tick(self, now: float) -> None:
         self.ticks += 1
+
+    def take_lived(self) -> Lived | None:
+        return None
 
     def tell_job(self, news: JobNews) -> None:
         self.news.append(news)
