@@ -29,7 +29,7 @@ class FamiliarityRule:
         width: how gently it falls.
     """
 
-    half: float = 1.3
+    half: float = 1.4
     width: float = 0.3
 
 

@@ -44,9 +44,9 @@ class FinetuneConfig:
         seed: of sampling and augmentation.
     """
 
-    steps: int = 240
-    batch: int = 32
-    learning_rate: float = 2e-3
+    steps: int = 200
+    batch: int = 64
+    learning_rate: float = 3e-3
     warm_up: float = 0.15
     rates: Mapping[str, float] = field(default_factory=dict)
     copies: int = 6

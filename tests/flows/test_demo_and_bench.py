@@ -7,7 +7,9 @@ import sys
 import time
 
 import pytest
+from typer.testing import CliRunner
 
+from app.cli import app
 from app.commands.own_server import run_own_server
 from app.settings import CLIENT_KEY_VARIABLE, make_environment
 from tests.flows.conftest import add_key, call
@@ -124,6 +126,21 @@ def test_bench_stream_measures_a_running_service_and_leaves_no_users(served) -> 
     assert "1 stream at 30 Hz" in told
     users = call(served, "GET", "/v1/users").json()["items"]
     assert not [user for user in users if user["id"].startswith("bench-")]
+
+
+def test_bench_finetune_times_whole_runs() -> None:
+    arguments = ["--users", "1", "--clips", "6", "--seconds", "2.5", "--json"]
+    result = CliRunner(env={"KINECAST_FINETUNE_STEPS": "3"}).invoke(
+        app, ["bench", "finetune", *arguments]
+    )
+    assert result.exit_code == 0, result.output
+    told = result.stdout
+    report = json.loads(told)
+    assert report["steps"] == 9
+    assert sum(report["verdicts"].values()) == 1
+    assert report["seconds"]["count"] == 1
+    assert report["seconds"]["p50"] > 0
+    assert report["bytes_per_version"] > 1e6
 
 
 def test_bench_forecast_compares_batches_with_single_windows() -> None:

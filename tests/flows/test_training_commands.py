@@ -10,7 +10,8 @@ from typer.testing import CliRunner
 
 from app.cli import app
 from models.checkpoint import dump_checkpoint, load_checkpoint
-from models.data.synthetic import ACTIONS, SyntheticPerson
+from models.data.synthetic import SyntheticPerson
+from models.data.synthetic_actions import ACTIONS
 from models.predictor import Predictor
 from tests.unit.models.conftest import SMALL, believable_motion
 

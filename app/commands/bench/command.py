@@ -89,6 +89,31 @@ def forecast_command(
     _print(report, as_json=as_json, table=_tabulate_forecast)
 
 
+@app.command("finetune")
+def finetune_command(
+    *,
+    users: Annotated[int, typer.Option(min=1, max=1000, help="People, one after another.")] = 3,
+    clips: Annotated[int, typer.Option(min=1, max=500, help="Clips of each trial.")] = 27,
+    seconds: Annotated[float, typer.Option(min=0.5, max=60.0, help="Of each clip.")] = 2.2,
+    as_json: AsJson = False,
+) -> None:
+    """Time whole fine-tuning runs without a service: checks, the judge's fits, the final fit."""
+    from app.commands.bench.finetune import FinetunePlan, measure_finetune  # noqa: PLC0415
+
+    settings = load_settings()
+    plan = FinetunePlan(
+        users=users,
+        clips=clips,
+        seconds=seconds,
+        steps=settings.finetune_steps,
+        threads=settings.finetune_threads,
+        model=settings.model,
+    )
+    with err.status(f"fine-tuning {users} decoders"):
+        report = measure_finetune(plan)
+    _print(report, as_json=as_json, table=_tabulate_finetune)
+
+
 def _read_numbers(text: str) -> list[int]:
     try:
         numbers = [int(part) for part in text.split(",")]
@@ -146,6 +171,25 @@ def _tabulate_forecast(report: dict[str, Any]) -> Table:
             f"{each['p99']:.0f}",
             f"{row['ms_per_call']:.2f}",
         )
+    return table
+
+
+def _tabulate_finetune(report: dict[str, Any]) -> Table:
+    table = Table(
+        "people", "clips", "steps", "seconds, median", "max", "ms per step", "peak MB", "KB each",
+        title=f"{report['threads']} thread, {report['cores']} cores", box=None, pad_edge=False,
+    )  # fmt: skip
+    seconds = report["seconds"]
+    table.add_row(
+        str(report["users"]),
+        str(report["clips"]),
+        str(report["steps"]),
+        f"{seconds['p50']:.1f}",
+        f"{seconds['max']:.1f}",
+        f"{report['ms_per_step']:.1f}",
+        str(report["peak_memory_mb"]),
+        str(report["bytes_per_version"] // 1000),
+    )
     return table
 
 

@@ -9,7 +9,8 @@ from app.personalize.run import Lesson
 from app.personalize.trainer import train
 from models.checkpoint import dump_checkpoint, load_checkpoint, load_personal
 from models.data.clips import Clip
-from models.data.synthetic import ACTIONS, SyntheticPerson
+from models.data.synthetic import SyntheticPerson
+from models.data.synthetic_actions import ACTIONS
 from models.predictor import NetConfig, Predictor
 from models.training.finetune import FinetuneConfig
 from models.uncertainty import LEVELS, RadiusTable
