@@ -198,7 +198,8 @@ def _to_clips(clips: list[TaskClip], checked: list[Checked]) -> list[Clip]:
 def _explain_open(bodies: Bodies) -> str:
     return (
         f"{len(bodies.strangers)} trials show different people, and as many speak for one as for "
-        "another. The base answers until one more trial decides, or the wrong one is erased."
+        "another. The base answers until one more trial decides, or the wrong one is erased and "
+        "fine-tuning is asked for."
     )
 
 

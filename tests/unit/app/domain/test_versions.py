@@ -18,6 +18,7 @@ from app.domain.versions import (
     list_purgeable,
     list_standing,
     may_promote,
+    must_withdraw,
 )
 
 NOW = datetime(2026, 1, 1, tzinfo=UTC)
@@ -49,6 +50,16 @@ def test_every_state_explains_itself_and_has_a_row_in_the_table():
     assert set(MOVES) == set(VersionState)
     assert len({state.meaning for state in VersionState}) == len(VersionState)
     assert all(VersionState.ACTIVE in MOVES[state] for state in VersionState if state != "active")
+
+
+def test_a_harmful_active_version_gives_way_unless_somebody_took_over():
+    active = replace(FREE, active=3)
+    back = Verdict.RETURN_TO_BASE
+    assert must_withdraw(back, active, parent=3)
+    assert not must_withdraw(Verdict.REJECT, active, parent=3)
+    assert not must_withdraw(back, active, parent=2)
+    assert not must_withdraw(back, FREE, parent=0)
+    assert not must_withdraw(back, replace(active, auto_promote=False), parent=3)
 
 
 def test_winner_against_what_is_active_is_promoted():
