@@ -10,7 +10,7 @@ TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 TORCH := torch==2.13.0
 
 .DEFAULT_GOAL := help
-.PHONY: live personal reproduce stream-check performance picture help serve test lint types imports check-migrations unit clean
+.PHONY: live personal reproduce stream-check performance picture faults help serve test lint types imports check-migrations unit clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
@@ -71,6 +71,9 @@ personal: $(VENV)/.test ## what personal versions give real people, through a ru
 
 live: $(VENV)/.test ## record a real person on a stream, check every answer, draw the timeline (about 4 min)
 	UTD_MHAD=$${UTD_MHAD:-$(SHARED)/utd-mhad} $(BIN)/python -m benchmarks.live --figure docs/figures/personalisation.svg $(ARGS)
+
+faults: $(VENV)/.test ## kill, stop, fill and damage what can be, 20 times each (about 30 min; some of it as root)
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.faults $(ARGS)
 
 picture: $(VENV)/.test ## draw docs/figures/demo.svg
 	$(BIN)/python -m benchmarks.picture $(ARGS)

@@ -1,0 +1,1 @@
+"""What becomes of people's trials, jobs and forecasts when something breaks."""
