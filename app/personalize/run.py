@@ -145,6 +145,8 @@ def run_task(task: Task, trainer: Trainer, report: Report) -> Outcome:
     clips = tuple(_to_clips(task.clips, checked))
     if not clips:
         return Outcome(Verdict.TOO_LITTLE_DATA, _explain_nothing(flaws), None, {}, flaws)
+    if _is_nothing_new(task, clips):
+        return Outcome(Verdict.REJECT, _explain_nothing_new(flaws, task), None, {}, flaws)
     lesson = Lesson(
         base=task.base,
         active=task.active,
@@ -193,6 +195,23 @@ def _to_clips(clips: list[TaskClip], checked: list[Checked]) -> list[Clip]:
         for clip, found in zip(clips, checked, strict=True)
         for piece in found.pieces
     ]
+
+
+def _is_nothing_new(task: Task, clips: tuple[Clip, ...]) -> bool:
+    """Tell whether new trials came, and none of them can be trained on.
+
+    The same fit once more would only give the same weights.
+    """
+    known, usable = set(task.active_trials), {clip.trial for clip in clips}
+    came = {clip.trial for clip in task.clips}
+    return task.active_base is None and usable == known and came != known
+
+
+def _explain_nothing_new(flaws: list[FoundFlaw], task: Task) -> str:
+    new = [flaw for flaw in flaws if flaw.trial not in task.active_trials]
+    kinds = dict.fromkeys(flaw.flaw for flaw in new)
+    reasons = " ".join(kind.meaning for kind in kinds)
+    return f"Nothing of the new trial can be trained on; the active version stays. {reasons}"
 
 
 def _explain_open(bodies: Bodies) -> str:

@@ -134,6 +134,22 @@ async def test_somebody_else_is_left_out_of_training(database):
     assert found == {ClipFlaw.NOT_THIS_PERSON}
 
 
+async def test_a_trial_that_cannot_be_trained_on_changes_nothing(database):
+    user, _, _ = await add_job(database, clips=[make_clip(i) for i in range(3)])
+    worker = make_worker(database, "quick")
+    await worker.run_pending()
+    frames = record_frames()
+    frozen = RawFrames(t=frames.t, joints=frames.joints[:1].repeat(len(frames), 0))
+    await add_more(database, user, [make_clip(i, frames=frozen) for i in range(3)])
+    await worker.run_pending()
+    async with database.read() as tx:
+        assert (await versions.read_active_of(tx, user.uuid)).number == 1
+        job = (await jobs.list_of_user(tx, user.uuid))[-1]
+    assert (job.state, job.reason) == (JobState.REJECTED, JobReason.DID_NOT_WIN)
+    assert "the active version stays" in job.message
+    assert "same pose" in job.message
+
+
 async def test_one_trial_against_one_leaves_nobodys_weights_active(database):
     user, first, _ = await add_job(database, clips=make_stranger())
     worker = make_worker(database, "quick")
