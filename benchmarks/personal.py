@@ -181,13 +181,13 @@ async def growth(bench: Bench) -> list[dict[str, Any]]:
 
 async def junk(bench: Bench) -> list[dict[str, Any]]:
     """Upload junk as a first trial and after a good one, and other people's motion."""
-    rows = []
     good, windows = bench.select("2", "1"), cut_windows(bench.select("2", "3", "4"), SPEC)
+    first = await bench.train("junk-later", good)
+    rows: list[dict[str, Any]] = [{"junk": "none, to begin with", **first}]
     for name, spoil in JUNK.items():
-        first = await bench.train(f"junk-{name.replace(' ', '-')}", spoil(good))
-        await bench.train(f"good-{name.replace(' ', '-')}", good)
-        later = await bench.train(f"good-{name.replace(' ', '-')}", spoil(bench.select("2", "2")))
-        rows.append({"junk": name, "first": first, "after_a_good_one": later})
+        alone = await bench.train(f"junk-{name.replace(' ', '-')}", spoil(good))
+        later = await bench.train("junk-later", spoil(bench.select("2", "2")))
+        rows.append({"junk": name, "first": alone, "after_a_good_one": later})
         _say(rows[-1])
     rows.append(await _take_stranger_first(bench, windows))
     rows.append(await _take_stranger_later(bench, windows))
