@@ -24,6 +24,19 @@ def slow(lesson, report):
     return quick(lesson, report)
 
 
+def brief(lesson, report):
+    """Takes long enough for something to happen meanwhile."""
+    report({"step": 1, "steps": 2})
+    time.sleep(0.8)
+    return quick(lesson, report)
+
+
+def bulky(lesson, report):
+    """Makes weights of a size that needs new pages in a database."""
+    learned = brief(lesson, report)
+    return Learned(learned.verdict, learned.message, os.urandom(400_000), learned.metrics)
+
+
 def picky(lesson, report):
     return Learned(Verdict.REJECT, "not better", b"loser", {"before": [1.0], "after": [2.0]})
 

@@ -1,0 +1,159 @@
+"""One representative of each fault of `make faults`: a kill, an outage, a full disk."""
+
+import asyncio
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+from sqlalchemy import event, text
+
+from app.domain.errors import NotReadyError
+from app.storage import versions
+from tests.conftest import ROOT
+from tests.integration.test_worker import add_job, get, running, wait_for
+from tests.outage import cuttable
+from tests.support import open_database
+
+pytestmark = pytest.mark.asyncio
+
+
+async def expect_one_version(database, user, job_id, *, attempt):
+    job = await get(database, job_id)
+    assert (job.state, job.attempt, job.version) == ("succeeded", attempt, 1)
+    async with database.read() as tx:
+        (version,) = await versions.list_all(tx, user.uuid)
+        assert (await versions.read_active_of(tx, user.uuid)).sha256 == version.sha256
+
+
+async def test_a_job_outlives_a_database_that_goes_away(settings):
+    with cuttable(settings) as (own, outage):
+        async with open_database(own) as database:
+            user, _, job_id = await add_job(database)
+            async with running(database, "brief", heartbeat_s=0.2):
+                await wait_for(database, job_id, lambda job: job.progress is not None)
+                with outage:
+                    await asyncio.sleep(1.2)  # by then there is a result that cannot be stored
+                await wait_for(database, job_id, lambda job: job.state.is_final)
+            await expect_one_version(database, user, job_id, attempt=1)
+
+
+@contextmanager
+def full_disk(database) -> Iterator[None]:
+    """No page more than there are: SQLite says that the disk is full."""
+
+    def limit(connection, record, proxy) -> None:
+        del record, proxy
+        cursor = connection.cursor()
+        cursor.execute("PRAGMA max_page_count = 1")  # it takes the number of pages there are
+        cursor.close()
+
+    def forget(connection, record) -> None:
+        del record
+        cursor = connection.cursor()
+        cursor.execute("PRAGMA max_page_count = 1073741823")
+        cursor.close()
+
+    pool = database._engine.sync_engine.pool
+    event.listen(pool, "checkout", limit)
+    event.listen(pool, "checkin", forget)
+    try:
+        yield
+    finally:
+        event.remove(pool, "checkout", limit)
+        event.remove(pool, "checkin", forget)
+
+
+async def fill_pages(database) -> None:
+    """Use up the free space of the pages that are there already."""
+    async with database.write() as tx:
+        await tx.execute(text("CREATE TABLE ballast (x BLOB)"))
+    with full_disk(database):
+        for size in (4096, 256, 16):
+            for _ in range(200):
+                try:
+                    async with database.write() as tx:
+                        insert = text("INSERT INTO ballast VALUES (zeroblob(:size))")
+                        await tx.execute(insert, {"size": size})
+                except NotReadyError:
+                    break
+
+
+async def test_a_result_waits_until_there_is_space_for_it(sqlite_database):
+    database = sqlite_database
+    user, _, job_id = await add_job(database)
+    async with running(database, "bulky"):
+        await wait_for(database, job_id, lambda job: job.progress is not None)
+        await fill_pages(database)
+        with full_disk(database):
+            await asyncio.sleep(1.2)
+            job = await get(database, job_id)
+            async with database.read() as tx:
+                assert await versions.list_all(tx, user.uuid) == []
+        assert job.state == "running"
+        await wait_for(database, job_id, lambda job: job.state.is_final)
+    await expect_one_version(database, user, job_id, attempt=1)
+
+
+MORTAL = """
+import asyncio, sys
+from app.settings import load_settings
+from app.storage.database import Database
+from app.worker.loop import Worker, WorkerRules
+
+async def main(data_dir):
+    database = Database.from_settings(load_settings(data_dir=data_dir))
+    rules = WorkerRules("mortal", b"base", "0" * 64, trainer="tests.trainers:slow", lease_s=1.0,
+                        heartbeat_s=0.3, poll_s=0.05)
+    await Worker(database, rules, asyncio.Event()).run()
+
+asyncio.run(main(sys.argv[1]))
+"""
+
+
+@pytest.fixture
+def mortal(sqlite_settings):
+    """A worker in a process of its own, which may be killed."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", MORTAL, str(sqlite_settings.data_dir)],
+        cwd=ROOT,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait(10)
+
+
+def find_children(pid: int) -> list[int]:
+    listed = subprocess.run(
+        ["ps", "-o", "pid=", "--ppid", str(pid)], capture_output=True, text=True, check=False
+    )
+    return [int(line) for line in listed.stdout.split()]
+
+
+def is_alive(pid: int) -> bool:
+    status = subprocess.run(
+        ["ps", "-o", "stat=", "-p", str(pid)], capture_output=True, text=True, check=False
+    )
+    return bool(status.stdout.strip()) and not status.stdout.startswith("Z")
+
+
+async def test_the_job_of_a_killed_worker_is_done_once_by_the_next(sqlite_database, mortal):
+    database = sqlite_database
+    user, _, job_id = await add_job(database)
+    await wait_for(database, job_id, lambda job: job.progress is not None)
+    (trainer,) = find_children(mortal.pid)
+    mortal.kill()
+    mortal.wait(10)
+    async with running(database, "quick"):
+        await wait_for(database, job_id, lambda job: job.state.is_final)
+    await expect_one_version(database, user, job_id, attempt=2)
+    for _ in range(50):
+        if not is_alive(trainer):
+            return
+        await asyncio.sleep(0.1)
+    raise AssertionError("the training process outlived its worker")
