@@ -12,7 +12,6 @@ import asyncio
 import gc
 import json
 import os
-import platform
 import sys
 import tempfile
 from dataclasses import asdict
@@ -52,6 +51,7 @@ from models.personal import PersonalDecoder
 
 FIGURE = Path("docs/figures/personalisation.svg")
 USER = "live"
+WAIT_S = 60.0
 
 
 def main() -> int:
@@ -109,7 +109,8 @@ async def _run(
     script: Script, server: OwnServer, base: Checkpoint, *, subject: str
 ) -> tuple[dict[str, Any], Timeline]:
     """Play the script, then check and tell what came of it."""
-    async with Api(server.url, key=server.key) as api:
+    load = round(os.getloadavg()[0], 1)
+    async with Api(server.url, key=server.key, wait_s=WAIT_S) as api:
         await api.add_user(USER)
         gc.collect()
         gc.disable()  # its pauses would be in the latency
@@ -136,7 +137,7 @@ async def _run(
     report = {
         "subject": subject,
         "speed": script.speed,
-        "machine": {"cores": os.cpu_count(), "processor": platform.machine()},
+        "machine": {"cores": os.cpu_count(), "load_before": load},
         "seconds": round(find_end(take), 1),
         "recorded_s": round(sum(len(clip.poses) for clip in script.record) / RATE_HZ, 1),
         "job": {name: job[name] for name in ("state", "reason", "message", "version", "attempt")},
@@ -156,7 +157,7 @@ async def _run(
 
 def _open(server: OwnServer) -> httpx.AsyncClient:
     headers = {"Authorization": f"Bearer {server.key}"}
-    return httpx.AsyncClient(base_url=server.url, headers=headers, timeout=60.0, trust_env=False)
+    return httpx.AsyncClient(base_url=server.url, headers=headers, timeout=WAIT_S, trust_env=False)
 
 
 async def _fetch_versions(

@@ -26,7 +26,7 @@ PANELS = (
 DEADLINE_MS = 1e3 / RATE_HZ
 STEP_S = 0.25
 LEVELS = (1, 3, 10, 30, 100, 300, 1000, 3000)
-SERVED, BASE, STILL, GRID = "#0072b2", "#d55e00", "#8a8a8a", "#e3e7ec"
+SERVED, BASE, STILL, GRID = "#0072b2", "#d55e00", "#9aa3ad", "#e3e7ec"
 LOOKS = {
     "recording": ("#9ecae8", ("recording trial 1",)),
     "queued": ("#c9ced6", ("queued",)),
@@ -104,11 +104,12 @@ def _describe(report: dict[str, Any]) -> str:
 
 def _explain(report: dict[str, Any]) -> str:
     frames, latency = report["frames"], report["latency"]
-    tails = ", ".join(f"{latency[name]['p99_ms']:.0f} ms {name}" for name in latency)
+    machine, tails = report["machine"], "/".join(f"{latency[n]['p99_ms']:.0f}" for n in latency)
     return (
-        f"One run of {report['seconds']:.0f} s on {report['machine']['cores']} cores. "
+        f"One run of {report['seconds']:.0f} s; {machine['cores']} cores, load "
+        f"{machine['load_before']:.1f} before it. "
         f"{frames['sent']} frames, {frames['answered']} forecasts, {frames['skipped']} skipped, "
-        f"{frames['missing']} lost. 99th percentile of latency: {tails} training."
+        f"{frames['missing']} lost. p99 latency before/during/after training: {tails} ms."
     )
 
 
@@ -129,14 +130,15 @@ def _draw_stages(canvas: Canvas, stages: Sequence[Stage], x: _Scale) -> None:
         colour, names = _find_looks(stage.kind, number)
         begin, end = x(stage.begin), x(stage.end)
         canvas.rect(begin, BAND_TOP, end - begin, BAND_HEIGHT, fill=colour)
-        name = next((one for one in names if len(one) * CHARACTER <= end - begin - 4), None)
+        name = next((one for one in names if len(one) * CHARACTER <= end - begin - 8), None)
         if name is None:
             narrow.append(f"{names[0]} {_tell_seconds(stage)}")
-            canvas.text(end, BELOW, ", ".join(narrow), size=11.5, fill=QUIET, anchor="end")
             continue
-        middle = (begin + end) / 2
-        canvas.text(middle, BAND_TOP + 17, name, size=11.5, anchor="middle")
-        canvas.text(middle, BELOW, _tell_seconds(stage), size=11.5, fill=QUIET, anchor="middle")
+        canvas.text(begin + 5, BAND_TOP + 17, name, size=11.5)
+        canvas.text(begin + 5, BELOW, _tell_seconds(stage), size=11.5, fill=QUIET)
+        if narrow:
+            canvas.text(begin - 5, BELOW, ", ".join(narrow), size=11.5, fill=QUIET, anchor="end")
+            narrow.clear()
 
 
 def _find_looks(kind: str, number: int) -> tuple[str, tuple[str, ...]]:
@@ -159,14 +161,14 @@ def _draw_errors(canvas: Canvas, timeline: Timeline, x: _Scale) -> None:
     }
     drawn = np.concatenate([values for _, values in curves.values()])
     lowest, highest = float(np.nanmin(drawn)), float(np.nanmax(drawn))
-    y = _Scale(lowest / 1.1, highest * 1.1, ERROR_BOTTOM, ERROR_TOP, is_log=True)
+    y = _Scale(lowest / 1.8, highest * 1.1, ERROR_BOTTOM, ERROR_TOP, is_log=True)
     _draw_levels(canvas, y, [level for level in LEVELS if y.low <= level <= y.high])
     _fill_gain(canvas, curves["base"], curves["served"], x, y)
-    looks = {"still": (STILL, 1.4, "5 3"), "base": (BASE, 1.7, None), "served": (SERVED, 2.1, None)}
-    for name, (colour, width, dash) in looks.items():
+    looks = {"still": (STILL, 1.4), "base": (BASE, 1.8), "served": (SERVED, 2.1)}
+    for name, (colour, width) in looks.items():
         for part in _split(*curves[name]):
             points = [(x(t), y(v)) for t, v in part]
-            canvas.line(points, stroke=colour, width=width, dash=dash)
+            canvas.line(points, stroke=colour, width=width)
     _head(canvas, ERROR_TOP, f"squared error 500 ms ahead, cm² (means over {MEAN_S:g} s)")
     after = timeline.report["error_500_ms"]["after"]
     told = {
@@ -201,12 +203,10 @@ def _draw_keys(canvas: Canvas, keys: Sequence[tuple[str, str]]) -> float:
     for words, colour in keys:
         right -= len(words) * CHARACTER
         canvas.text(right, ERROR_TOP - 9, words, fill=INK)
-        dash = "5 3" if colour == STILL else None
         canvas.line(
             [(right - 28, ERROR_TOP - 13), (right - 6, ERROR_TOP - 13)],
             stroke=colour,
             width=2.4,
-            dash=dash,
         )
         right -= 42
     return right + 6
@@ -228,6 +228,8 @@ def _draw_swap(canvas: Canvas, timeline: Timeline, x: _Scale) -> None:
     swap, at = timeline.swap, x(timeline.swap.told)
     for top, bottom in PANELS:
         canvas.line([(at, top), (at, bottom)], stroke=INK, width=1.2)
+    canvas.text(at - 6, ERROR_BOTTOM - 6, "base answers", size=11.5, fill=BASE, anchor="end")
+    canvas.text(at + 6, ERROR_BOTTOM - 6, "version 1", size=11.5, fill=SERVED)
     told, first = (1e3 * (later - swap.promoted) for later in (swap.told, swap.first))
     words = (
         f"promoted at {swap.promoted:.1f} s; the version message {told:.0f} ms later, "
