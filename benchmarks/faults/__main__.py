@@ -7,6 +7,7 @@ for forecasts. Afterwards the database has to hold exactly what was promised.
 import argparse
 import asyncio
 import json
+import signal
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -33,6 +34,7 @@ KILLS: dict[str, Callable[[Rig], Harm]] = {
 
 
 def main() -> int:
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # tidy up all the same
     arguments = _read_arguments()
     outcomes: list[Outcome] = []
     skipped: dict[str, str] = {}

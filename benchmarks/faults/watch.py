@@ -52,7 +52,7 @@ class Log:
         asked: single forecasts that were answered.
         streamed: forecasts of the stream.
         refused: requests that were told to come again, by code.
-        away: requests that nobody took, while the process was known to be gone.
+        away: requests that nobody took or answered while the service was gone or starting.
         unanswered: what ought to have been answered and was not.
         closes: how streams ended, by close code and reason.
         opened: streams that were opened.
@@ -100,9 +100,7 @@ async def _ask(rig: Rig, user: str, log: Log, stop: asyncio.Event, *, seed: int)
                     log.refused[error.code] += 1
                 else:
                     log.unanswered.append(str(error))
-            except SilenceError as error:
-                log.unanswered.append(str(error))
-            except UnreachableError as error:
+            except (SilenceError, UnreachableError) as error:
                 if was_up and rig.is_up:
                     log.unanswered.append(str(error))
                 log.away += 1
