@@ -10,7 +10,7 @@ TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 TORCH := torch==2.13.0
 
 .DEFAULT_GOAL := help
-.PHONY: live personal reproduce stream-check performance picture faults help serve test lint types imports check-migrations unit clean
+.PHONY: live personal reproduce stream-check performance picture crowd faults help serve test lint types imports check-migrations unit clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
@@ -68,6 +68,9 @@ performance: $(VENV)/.test ## the figures of docs/performance.md; on an idle mac
 
 personal: $(VENV)/.test ## what personal versions give real people, through a running service (about 30 min)
 	UTD_MHAD=$${UTD_MHAD:-$(SHARED)/utd-mhad} $(BIN)/python -m benchmarks.personal $(ARGS)
+
+crowd: $(VENV)/.test ## 200 people record at once: fair order, memory, jobs per minute (about 25 min)
+	$(BIN)/python -m benchmarks.crowd $(ARGS)
 
 live: $(VENV)/.test ## record a real person on a stream, check every answer, draw the timeline (about 4 min)
 	UTD_MHAD=$${UTD_MHAD:-$(SHARED)/utd-mhad} $(BIN)/python -m benchmarks.live --figure docs/figures/personalisation.svg $(ARGS)

@@ -134,4 +134,4 @@ class Trial:
     @property
     def seconds(self) -> float:
         """How long the clips are together."""
-        return sum(clip.seconds for clip in self.clips)
+        return sum((clip.seconds for clip in self.clips), 0.0)
