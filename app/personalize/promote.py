@@ -85,6 +85,7 @@ async def store_outcome(
         parent=parent,
         base_sha256=base_sha256,
         metrics=outcome.metrics,
+        trained_on=tuple(UUID(trial) for trial in outcome.trained_on),
     )
     reason = await results.finish(tx, held, result, now=now, keep=keep)
     for found in outcome.flaws:

@@ -78,6 +78,7 @@ class Outcome(msgspec.Struct):
         blob: the weights, None where there was too little.
         metrics: the judge's figures.
         flaws: clips that were not trained on.
+        trained_on: the trials of the clips that were.
     """
 
     verdict: Verdict
@@ -85,6 +86,7 @@ class Outcome(msgspec.Struct):
     blob: bytes | None
     metrics: dict[str, Any]
     flaws: list[FoundFlaw]
+    trained_on: list[str] = msgspec.field(default_factory=list)
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +159,14 @@ def run_task(task: Task, trainer: Trainer, report: Report) -> Outcome:
     )
     report({"phase": "training", "clips": len(clips)})
     learned = trainer(lesson, report)
-    return Outcome(learned.verdict, learned.message, learned.blob, learned.metrics, flaws)
+    return Outcome(
+        verdict=learned.verdict,
+        message=learned.message,
+        blob=learned.blob,
+        metrics=learned.metrics,
+        flaws=flaws,
+        trained_on=list(dict.fromkeys(clip.trial for clip in clips)),
+    )
 
 
 def _check(clip: TaskClip, task: Task) -> Checked:

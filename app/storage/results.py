@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
+from uuid import UUID
 
 from sqlalchemy.ext.asyncio import AsyncSession
 
@@ -35,6 +36,7 @@ class Result:
         parent: the version that was active when the job began.
         base_sha256: the base that the weights run on.
         metrics: the judge's figures.
+        trained_on: the trials of the clips that were good enough, oldest first.
     """
 
     verdict: Verdict
@@ -43,6 +45,7 @@ class Result:
     parent: int
     base_sha256: str
     metrics: dict[str, Any]
+    trained_on: tuple[UUID, ...] = ()
 
 
 async def finish(
@@ -98,7 +101,7 @@ async def _add_version(
         blob=blob,
         parent=result.parent,
         base_sha256=result.base_sha256,
-        trained_on=held.trials,
+        trained_on=result.trained_on or held.trials,
         metrics=result.metrics,
         job_id=held.job_id,
         state=VersionState.CANDIDATE if won else VersionState.REJECTED,

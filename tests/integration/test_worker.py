@@ -128,7 +128,9 @@ async def test_somebody_else_is_left_out_of_training(database):
     strange = await add_more(database, user, make_stranger())
     await make_worker(database, "quick").run_pending()
     async with database.read() as tx:
-        trained_on = (await versions.get(tx, user.uuid, 1)).metrics["trials"]
+        version = await versions.get(tx, user.uuid, 1)
+        trained_on = version.metrics["trials"]
+        assert version.trained_on == (first.id, second.id)
         found = {clip.flaw for clip in (await trials.get(tx, user, strange.id)).clips}
     assert trained_on == sorted([str(first.id), str(second.id)])
     assert found == {ClipFlaw.NOT_THIS_PERSON}
