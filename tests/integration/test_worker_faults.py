@@ -4,7 +4,7 @@ import asyncio
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import pytest
 from sqlalchemy import event, text
@@ -12,9 +12,10 @@ from sqlalchemy import event, text
 from app.domain.errors import NotReadyError
 from app.storage import versions
 from tests.conftest import ROOT
+from tests.integration.test_trials_api import upload
 from tests.integration.test_worker import add_job, get, running, wait_for
 from tests.outage import cuttable
-from tests.support import open_database
+from tests.support import open_database, watch_person
 
 pytestmark = pytest.mark.asyncio
 
@@ -66,18 +67,13 @@ def full_disk(database) -> Iterator[None]:
 
 
 async def fill_pages(database) -> None:
-    """Use up the free space of the pages that are there already."""
+    """Use up the pages that are there and empty."""
     async with database.write() as tx:
         await tx.execute(text("CREATE TABLE ballast (x BLOB)"))
-    with full_disk(database):
-        for size in (4096, 256, 16):
-            for _ in range(200):
-                try:
-                    async with database.write() as tx:
-                        insert = text("INSERT INTO ballast VALUES (zeroblob(:size))")
-                        await tx.execute(insert, {"size": size})
-                except NotReadyError:
-                    break
+    with full_disk(database), suppress(NotReadyError):
+        while True:
+            async with database.write() as tx:
+                await tx.execute(text("INSERT INTO ballast VALUES (zeroblob(3000))"))
 
 
 async def test_a_result_waits_until_there_is_space_for_it(sqlite_database):
@@ -157,3 +153,19 @@ async def test_the_job_of_a_killed_worker_is_done_once_by_the_next(sqlite_databa
             return
         await asyncio.sleep(0.1)
     raise AssertionError("the training process outlived its worker")
+
+
+async def test_what_cannot_be_stored_is_not_accepted_and_forecasts_go_on(sqlite_service):
+    service = sqlite_service
+    await service.add_user()
+    await fill_pages(service.database)
+    clip = {"frames": watch_person(2.0).round(4).tolist(), "action": "wave"}
+    with full_disk(service.database):
+        refused = await upload(service, clip)
+        assert (refused.status_code, refused.json()["code"]) == (503, "not_ready")
+        seen = {"frames": watch_person(0.5).tolist()}
+        answer = await service.call("POST", "/v1/users/ada/forecast", json=seen)
+        assert (answer.status_code, answer.json()["version"]["number"]) == (200, 0)
+    assert (await upload(service, clip)).status_code == 202
+    (stored,) = (await service.call("GET", "/v1/users/ada/trials")).json()["items"]
+    assert stored["frames"] == 60
