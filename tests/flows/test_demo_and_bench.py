@@ -7,9 +7,7 @@ import sys
 import time
 
 import pytest
-from typer.testing import CliRunner
 
-from app.cli import app
 from app.commands.own_server import run_own_server
 from app.settings import CLIENT_KEY_VARIABLE, make_environment
 from tests.flows.conftest import add_key, call
@@ -128,13 +126,10 @@ def test_bench_stream_measures_a_running_service_and_leaves_no_users(served) -> 
     assert not [user for user in users if user["id"].startswith("bench-")]
 
 
-def test_bench_finetune_times_whole_runs() -> None:
+def test_bench_finetune_times_whole_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     arguments = ["--users", "1", "--clips", "6", "--seconds", "2.5", "--json"]
-    result = CliRunner(env={"KINECAST_FINETUNE_STEPS": "3"}).invoke(
-        app, ["bench", "finetune", *arguments]
-    )
-    assert result.exit_code == 0, result.output
-    told = result.stdout
+    monkeypatch.setenv("KINECAST_FINETUNE_STEPS", "3")
+    told, _ = run("bench", "finetune", *arguments)
     report = json.loads(told)
     assert report["steps"] == 9
     assert sum(report["verdicts"].values()) == 1

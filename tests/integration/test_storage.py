@@ -371,7 +371,7 @@ async def test_sqlite_is_set_up_for_many_readers_and_for_erasure(tmp_path):
             for name in ("journal_mode", "synchronous", "foreign_keys", "secure_delete")
         ]
     await database.close()
-    assert found == ["wal", 1, 1, 1]
+    assert found == ["wal", 2, 1, 1]
     assert (tmp_path / "data").stat().st_mode & 0o077 == 0  # the data are personal
 
 
