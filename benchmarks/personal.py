@@ -265,8 +265,8 @@ def _start_stream(server: OwnServer) -> "subprocess.Popen[str]":
 
 def _end_stream(process: "subprocess.Popen[str]") -> dict[str, Any]:
     report = json.loads(process.communicate(timeout=4 * STREAM_S)[0])
-    found: dict[str, Any] = report["rows"][0]
-    return {name: value for name, value in found.items() if "ms" in name or "share" in name}
+    found: dict[str, Any] = report["runs"][0]
+    return {name: found[name] for name in ("latency_ms", "within_33_ms", "misses")}
 
 
 def _base(bench: Bench, windows: Windows) -> list[float]:
