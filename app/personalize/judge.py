@@ -36,12 +36,14 @@ class JudgeRule:
         trial_errors: how many standard errors below 1 it must be on whole trials left out.
         lose_errors: how many standard errors behind the active version a candidate may be on a
             trial that neither was trained on.
+        lose_margin: and how far in any case. With one earlier trial both are the very same fit.
     """
 
     hurt_errors: float = 0.5
     like_errors: float = 2.0
     trial_errors: float = 1.0
     lose_errors: float = 1.0
+    lose_margin: float = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,12 +204,12 @@ def _find_lost_trial(evidence: Evidence, share: float, rule: JudgeRule) -> str |
     """Say on which trial a candidate loses: against the base, or against the active version."""
     for name, figures in evidence.trials.items():
         found = figures.compare(share)
-        if found.ratio - rule.lose_errors * found.error > 1:
+        if found.ratio - rule.lose_errors * found.error > 1 + rule.lose_margin:
             return f"It loses on trial {name}, left out: {_percent(found)}."
     rival = evidence.rival
     if rival is not None:
         found = compare(rival.active, rival.candidate[SHARES.index(share)])
-        if found.ratio - rule.lose_errors * found.error > 1:
+        if found.ratio - rule.lose_errors * found.error > 1 + rule.lose_margin:
             return f"It loses against the active version on the new trial: {_percent(found)}."
     return None
 
@@ -217,7 +219,7 @@ def _reject(evidence: Evidence, share: float, why: str, rule: JudgeRule) -> Ruli
     rival = evidence.rival
     if rival is not None:
         found = compare(rival.base, rival.active)
-        if found.ratio - rule.lose_errors * found.error > 1:
+        if found.ratio - rule.lose_errors * found.error > 1 + rule.lose_margin:
             told = f"The active version does harm on the new trial ({_percent(found)})"
             return Ruling(Verdict.RETURN_TO_BASE, share, f"{why} {told}: back to the base.")
     return Ruling(Verdict.REJECT, share, why)

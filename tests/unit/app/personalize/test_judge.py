@@ -85,6 +85,13 @@ def test_a_candidate_must_not_lose_against_what_is_active_on_the_new_trial() -> 
         assert judge(evidence).verdict is verdict, active
 
 
+def test_a_candidate_that_equals_the_active_version_on_the_new_trial_does_not_lose() -> None:
+    new = make_figures(0.8, spread=0.0)
+    same = Rival(new.before[:, -1], new.after[0, :, -1] * (1 - 1e-9), new.after[:, :, -1])
+    evidence = make_evidence(new, make_figures(0.97), {"new": new}, same)
+    assert judge(evidence).verdict is Verdict.PROMOTE
+
+
 def test_an_active_version_that_harms_on_the_new_trial_gives_way_to_the_base() -> None:
     new = make_figures(1.02)
     harmful, harmless = make_rival(new, 1.2), make_rival(new, 0.95)
