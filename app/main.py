@@ -31,6 +31,7 @@ from app.domain.limits import read_limits
 from app.live.decoders import Decoders
 from app.live.engine import Engine
 from app.live.frames import WindowRules
+from app.live.housekeeper import Housekeeper
 from app.live.job_watch import JobWatch, read_from
 from app.live.library import Library
 from app.live.registry import Registry
@@ -41,7 +42,6 @@ from app.settings import Settings
 from app.storage.announcements import Topic
 from app.storage.bootstrap import load_audit_key
 from app.storage.database import Database
-from app.storage.housekeeping import Housekeeper
 from app.storage.migrate import check_current
 from app.storage.sessions import watch
 from app.version import read_version

@@ -3,7 +3,6 @@
 import asyncio
 import time
 from collections.abc import Awaitable, Callable, Collection, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from datetime import timedelta
 from typing import Any, Protocol, runtime_checkable
@@ -12,6 +11,7 @@ from uuid import UUID
 from app.domain.errors import NotReadyError
 from app.domain.jobs import JobState
 from app.domain.streams import JobNews, OpenStream
+from app.live.rounds import Pause, Rounds
 from app.storage.database import Database
 from app.storage.job_news import read_job_news
 from app.storage.tables import utc_now
@@ -36,8 +36,6 @@ class Listener(Protocol):
 
 
 Listeners = Callable[[], Collection[Listener]]
-Pause = Callable[[float], Awaitable[None]]
-"""Waits this many seconds, or less where there may be news."""
 ReadNews = Callable[[Collection[UUID], Collection[UUID]], Awaitable[Sequence[JobNews]]]
 """Gives the news for these users, and of these jobs; raises NotReadyError where it cannot."""
 
@@ -52,7 +50,7 @@ def read_from(database: Database) -> ReadNews:
     return read
 
 
-class JobWatch:
+class JobWatch(Rounds):
     """Looks at the jobs of everybody who has an open stream, in one query; none without streams.
 
     Args:
@@ -70,23 +68,10 @@ class JobWatch:
         listen: Callable[[], Pause] = lambda: asyncio.sleep,
         every_s: float = 1.0,
     ) -> None:
+        super().__init__(self._look_now, every_s=every_s, listen=listen)
         self._read, self._listeners = read, listeners
-        self._listen, self._every_s = listen, every_s
         self._told: dict[OpenStream, dict[UUID, _Told]] = {}
         self._known: frozenset[UUID] = frozenset()
-        self._task: asyncio.Task[None] | None = None
-
-    def start(self) -> None:
-        """Begin to look."""
-        self._task = asyncio.create_task(self._look_for_ever())
-
-    async def stop(self) -> None:
-        """Look no more."""
-        if self._task is not None:
-            self._task.cancel()
-            with suppress(asyncio.CancelledError):
-                await self._task
-        self._task = None
 
     async def look(self, now: float) -> None:
         """Look once, and tell what changed to every stream that was not told.
@@ -121,11 +106,8 @@ class JobWatch:
             after[one.id] = known
         return after
 
-    async def _look_for_ever(self) -> None:
-        pause = self._listen()
-        while True:
-            await pause(self._every_s)
-            await self.look(time.monotonic())
+    async def _look_now(self) -> None:
+        await self.look(time.monotonic())
 
 
 @dataclass(frozen=True, slots=True)

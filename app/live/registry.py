@@ -4,7 +4,7 @@ import asyncio
 import time
 from collections import Counter
 from collections.abc import Awaitable, Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from typing import Protocol, runtime_checkable
 from uuid import UUID
 
@@ -22,6 +22,7 @@ from app.domain.errors import (
 from app.domain.limits import Limits
 from app.domain.streams import JobNews, OpenStream, Verdict
 from app.domain.users import Lived
+from app.live.rounds import Pause, Rounds
 from app.live.telemetry import Telemetry
 from app.live.work import Choice
 
@@ -29,8 +30,6 @@ Watch = Callable[[Sequence[OpenStream]], Awaitable[Mapping[OpenStream, Verdict]]
 """Asks the database which streams must close; raises NotReadyError where it cannot tell."""
 Follow = Callable[[Collection[UUID]], Awaitable[Mapping[UUID, Choice]]]
 """Gives what is active for users, loaded; raises NotReadyError where it cannot tell."""
-Pause = Callable[[float], Awaitable[None]]
-"""Waits this many seconds, or less where there may be news."""
 
 TICK_S = 1.0
 _REASONS: dict[Verdict, type[KinecastError]] = {
@@ -101,15 +100,19 @@ class Registry:
         unconfirmed_s: float = 10.0,
         close_s: float = 60.0,
     ) -> None:
-        self._follow, self._listen = follow, listen
+        self._follow = follow
         self._watch, self._limits, self._telemetry = watch, limits, telemetry
-        self._watch_s, self._unconfirmed_s, self._close_s = watch_s, unconfirmed_s, close_s
+        self._unconfirmed_s, self._close_s = unconfirmed_s, close_s
         self._streams: dict[OpenStream, LiveStream] = {}
         self._of_key: Counter[UUID] = Counter()
         self._of_user: Counter[UUID] = Counter()
         self._confirmed_at = time.monotonic()
         self._draining = False
-        self._tasks: list[asyncio.Task[None]] = []
+        self._rounds = (
+            Rounds(self._tick, every_s=TICK_S),
+            Rounds(self._check_now, every_s=watch_s, listen=listen),
+            Rounds(self.follow, every_s=watch_s, listen=listen),
+        )
 
     def __len__(self) -> int:
         return len(self._streams)
@@ -121,20 +124,13 @@ class Registry:
     def start(self) -> None:
         """Begin to tick and to watch."""
         self._confirmed_at = time.monotonic()
-        self._tasks = [
-            asyncio.create_task(self._tick_for_ever()),
-            asyncio.create_task(self._watch_for_ever()),
-            asyncio.create_task(self._follow_for_ever()),
-        ]
+        for rounds in self._rounds:
+            rounds.start()
 
     async def stop(self) -> None:
         """Stop ticking and watching."""
-        for task in self._tasks:
-            task.cancel()
-        for task in self._tasks:
-            with suppress(asyncio.CancelledError):
-                await task
-        self._tasks = []
+        for rounds in self._rounds:
+            await rounds.stop()
 
     async def drain(self, timeout_s: float) -> None:
         """Take no more streams, say goodbye to those that are open and wait for them to end."""
@@ -243,20 +239,9 @@ class Registry:
             if age_s > self._close_s:
                 stream.end(NotReadyError("The database has been out of reach for too long."))
 
-    async def _tick_for_ever(self) -> None:
-        while True:
-            await asyncio.sleep(TICK_S)
-            for stream in list(self._streams.values()):
-                stream.tick(time.monotonic())
+    async def _tick(self) -> None:
+        for stream in list(self._streams.values()):
+            stream.tick(time.monotonic())
 
-    async def _watch_for_ever(self) -> None:
-        pause = self._listen()
-        while True:
-            await pause(self._watch_s)
-            await self.check(time.monotonic())
-
-    async def _follow_for_ever(self) -> None:
-        pause = self._listen()
-        while True:
-            await pause(self._watch_s)
-            await self.follow()
+    async def _check_now(self) -> None:
+        await self.check(time.monotonic())

@@ -3,12 +3,12 @@
 import asyncio
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from datetime import timedelta
 
 import structlog
 
 from app.domain.errors import NotReadyError
+from app.live.rounds import Rounds
 from app.storage.database import Database
 from app.storage.recordings import store_abandoned
 from app.storage.tables import utc_now
@@ -22,7 +22,7 @@ GRACE_S = 15.0
 log = structlog.get_logger(__name__)
 
 
-class Sweeper:
+class Sweeper(Rounds):
     """Looks for abandoned recordings. Every replica may: the second one finds nothing.
 
     Args:
@@ -40,22 +40,10 @@ class Sweeper:
         every_s: float = SWEEP_S,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._database, self._every_s, self._clock = database, every_s, clock
+        super().__init__(self.sweep, every_s=every_s)
+        self._database, self._clock = database, clock
         self._abandoned = timedelta(seconds=abandoned_s)
         self._reached_since: float | None = None
-        self._task: asyncio.Task[None] | None = None
-
-    def start(self) -> None:
-        """Begin to look."""
-        self._task = asyncio.create_task(self._sweep_for_ever())
-
-    async def stop(self) -> None:
-        """Look no more."""
-        if self._task is not None:
-            self._task.cancel()
-            with suppress(asyncio.CancelledError):
-                await self._task
-        self._task = None
 
     async def sweep(self) -> int:
         """Store what is abandoned now; gives how many recordings that were."""
@@ -77,8 +65,3 @@ class Sweeper:
         if stored:
             log.info("recordings without a stream were stored", trials=len(stored))
         return len(stored)
-
-    async def _sweep_for_ever(self) -> None:
-        while True:
-            await asyncio.sleep(self._every_s)
-            await self.sweep()

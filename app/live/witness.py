@@ -8,6 +8,7 @@ from typing import Protocol, runtime_checkable
 from app.domain.errors import NotReadyError
 from app.domain.streams import OpenStream
 from app.domain.users import Lived
+from app.live.rounds import Rounds
 from app.storage import users
 from app.storage.database import Database
 
@@ -27,7 +28,7 @@ class Watcher(Protocol):
         ...
 
 
-class Witness:
+class Witness(Rounds):
     """Asks the open streams now and then, and each once more at its end.
 
     Args:
@@ -43,20 +44,13 @@ class Witness:
         *,
         every_s: float = EVERY_S,
     ) -> None:
-        self._database, self._watchers, self._every_s = database, watchers, every_s
-        self._task: asyncio.Task[None] | None = None
+        super().__init__(self.ask, every_s=every_s)
+        self._database, self._watchers = database, watchers
 
-    def start(self) -> None:
-        """Begin to ask."""
-        self._task = asyncio.create_task(self._ask_for_ever())
-
-    async def stop(self) -> None:
-        """Ask no more."""
-        if self._task is not None:
-            self._task.cancel()
-            with suppress(asyncio.CancelledError):
-                await self._task
-        self._task = None
+    async def ask(self) -> None:
+        """Ask every stream once."""
+        for watcher in tuple(self._watchers()):
+            await self.note(watcher)
 
     async def note(self, watcher: Watcher) -> None:
         """Store what one stream saw."""
@@ -66,9 +60,3 @@ class Witness:
         with suppress(NotReadyError, TimeoutError):
             async with asyncio.timeout(STORE_S), self._database.write() as tx:
                 await users.note_lived(tx, watcher.stream.user_uuid, lived)
-
-    async def _ask_for_ever(self) -> None:
-        while True:
-            await asyncio.sleep(self._every_s)
-            for watcher in tuple(self._watchers()):
-                await self.note(watcher)

@@ -10,8 +10,9 @@ from app.domain.access import Scope
 from app.domain.jobs import JobReason, JobState
 from app.domain.streams import OpenStream, Verdict
 from app.domain.versions import Verdict as Judgement
+from app.live.housekeeper import Housekeeper
 from app.storage import housekeeping, idempotency, jobs, leases, sessions, versions
-from app.storage.housekeeping import Forgotten, Housekeeper, forget, mark_used
+from app.storage.housekeeping import Forgotten, forget, mark_used
 from app.storage.idempotency import Answer, Request
 from app.storage.tables import IdempotencyRow, JobRow, SessionRow
 from tests.personal_support import START, add_key, add_trial, add_user, claim, enqueue, finish
