@@ -16,6 +16,7 @@ from app.commands.client.errors import SilenceError
 from app.commands.client.messages import Error, Forecast, Waiting
 from app.commands.client.rest import Api
 from app.commands.client.stream import Stream, open_stream
+from app.commands.client.together import run_together
 from models.baselines import Forecaster
 from models.data.clips import Clip
 from models.data.windows import Windows, cut_windows
@@ -148,16 +149,7 @@ async def replay_clips(
         ) as stream,
     ):
         replayer = _Replayer(stream, clips, speed=speed)
-        tasks = [
-            asyncio.create_task(replayer.send()),
-            asyncio.create_task(replayer.receive()),
-        ]
-        try:
-            await asyncio.gather(*tasks)
-        finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
+        await run_together(replayer.send(), replayer.receive())
     return replayer.replay
 
 

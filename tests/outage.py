@@ -78,7 +78,7 @@ def cuttable(settings: Settings) -> Iterator[tuple[Settings, AbstractContextMana
     """Settings of the same database, and a block in which nothing can be stored in it."""
     url = find_database(settings)
     if settings.database_url is None:
-        yield settings.model_copy(update={"database_timeout_s": 0.2}), _lock(str(url.database))
+        yield settings.model_copy(update={"database_timeout_s": 1.0}), _lock(str(url.database))
         return
     wire = Wire(url.host or "127.0.0.1", url.port or 5432)
     own = make_url(settings.database_url).set(host="127.0.0.1", port=wire.port)

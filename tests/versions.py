@@ -16,25 +16,16 @@ from models.baselines import Forecaster
 from models.checkpoint import PersonalDecoder, dump_personal
 from models.decoder import Decoder
 from models.familiarity import Familiarity, FamiliarityRule
-from models.predictor import NetConfig, Predictor
+from models.predictor import Predictor
+from tests.nets import TINY
 from tests.personal_support import add_trial, claim, enqueue, finish
 
 BASE_SHA256 = hashlib.sha256(b"the base of these tests").hexdigest()
-SMALL = NetConfig(
-    encoder_hidden=8,
-    encoder_heads=2,
-    continuous=4,
-    categories=3,
-    decoder_token=4,
-    decoder_hidden=8,
-    decoder_heads=2,
-    spl_hidden=4,
-)
 
 
 def make_net() -> Predictor:
     torch.manual_seed(5)
-    return Predictor(config=SMALL).eval().requires_grad_(requires_grad=False)
+    return Predictor(config=TINY).eval().requires_grad_(requires_grad=False)
 
 
 def make_personal(

@@ -16,6 +16,7 @@ from jaxtyping import Float32
 from app.commands.client.errors import SilenceError
 from app.commands.client.messages import Job, Message, VersionChanged
 from app.commands.client.stream import Stream, open_stream
+from app.commands.client.together import run_together
 from models.data.clips import Clip
 from models.spec import MotionSpec
 
@@ -179,13 +180,7 @@ async def play(script: Script, *, url: str, key: str, user: str, subprotocol: st
         clock=lambda: (time.monotonic() - start) * script.speed,
     ) as stream:
         player = _Player(stream, script, start=start)
-        tasks = [asyncio.create_task(player.play()), asyncio.create_task(player.listen())]
-        try:
-            await asyncio.gather(*tasks)
-        finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
+        await run_together(player.play(), player.listen())
     return player.take
 
 

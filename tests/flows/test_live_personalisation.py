@@ -23,7 +23,7 @@ from models.checkpoint import load_checkpoint, load_personal, save_checkpoint
 from models.data.clips import Clip
 from models.predictor import Predictor
 from tests.flows.conftest import add_user, call
-from tests.integration.test_serve import SMALL
+from tests.nets import TINY
 from tests.personal_support import record_frames
 
 SPEED = 4.0
@@ -46,7 +46,7 @@ def lived(tmp_path_factory):
     folder = tmp_path_factory.mktemp("live")
     with torch.random.fork_rng():
         torch.manual_seed(1)
-        save_checkpoint(folder / "small.safetensors", Predictor(config=SMALL), {})
+        save_checkpoint(folder / "small.safetensors", Predictor(config=TINY), {})
     base = load_checkpoint(folder / "small.safetensors")
     own = {"model": folder / "small.safetensors", "worker_poll_s": 0.2, "finetune_steps": STEPS}
     with run_own_server(folder, **own) as server:

@@ -5,7 +5,6 @@ import os
 import re
 import signal
 import subprocess
-import sys
 import time
 from contextlib import contextmanager
 
@@ -16,8 +15,9 @@ import pytest
 from models.checkpoint import save_checkpoint
 from models.predictor import Predictor
 from tests.conftest import ROOT
-from tests.integration.test_serve import SMALL
+from tests.nets import TINY
 from tests.personal_support import record_frames
+from tests.processes import command, run
 from tests.support import ADMIN_KEY
 
 HEADERS = {"Authorization": f"Bearer {ADMIN_KEY}"}
@@ -26,7 +26,7 @@ HEADERS = {"Authorization": f"Bearer {ADMIN_KEY}"}
 @pytest.fixture
 def environment(tmp_path):
     model = tmp_path / "small.safetensors"
-    save_checkpoint(model, Predictor(config=SMALL), {})
+    save_checkpoint(model, Predictor(config=TINY), {})
     kept = {k: v for k, v in os.environ.items() if not k.startswith("KINECAST_")}
     return kept | {
         "KINECAST_MODEL": str(model),
@@ -35,10 +35,6 @@ def environment(tmp_path):
         "KINECAST_WORKER_POLL_S": "0.2",
         "COLUMNS": "200",
     }
-
-
-def command(*arguments):
-    return [sys.executable, "-W", "error", "-m", "app.cli", *arguments]
 
 
 @contextmanager
@@ -59,18 +55,6 @@ def serving(environment, *arguments):
             process.send_signal(signal.SIGTERM)
         process.wait(30)
         process.stdout.close()
-
-
-def run(environment, *arguments):
-    return subprocess.run(
-        command(*arguments),
-        cwd=ROOT,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=100,
-        check=False,
-    )
 
 
 def write_recordings(path):
@@ -99,13 +83,13 @@ def test_imported_recordings_become_a_judged_version(tmp_path, environment):
     write_recordings(tmp_path / "own.npz")
     arguments = ("import", "--user", "ada", "--data", str(tmp_path / "own.npz"), "--json")
     with serving(environment) as (url, _):
-        done = run(environment, *arguments, "--url", url, "--wait")
+        done = run(*arguments, "--url", url, "--wait", env=environment)
         assert done.returncode == 0, done.stderr
         (answer,) = json.loads(done.stdout)
         assert (answer["trial"]["clips"], answer["trial"]["clips_unused"]) == (6, 0)
         assert answer["job"]["state"] in {"succeeded", "rejected"}
         assert answer["job"]["version"] == 1
-        again = run(environment, *arguments, "--url", url)
+        again = run(*arguments, "--url", url, env=environment)
         assert json.loads(again.stdout)[0]["trial"]["id"] == answer["trial"]["id"]
         version = httpx.get(f"{url}/v1/users/ada/versions/1", headers=HEADERS).json()
         assert version["metrics"]["frames"] == [2, 4, 8, 10, 13, 15]
@@ -121,7 +105,7 @@ def test_wrong_imports_are_one_clear_line(tmp_path, environment):
         (("--data", str(tmp_path / "own.npz"), "--subject", "5"), "choose one"),
     ):
         write_recordings(tmp_path / "own.npz")
-        done = run(environment, "import", "--user", "ada", *arguments)
+        done = run("import", "--user", "ada", *arguments, env=environment)
         assert done.returncode == 2
         assert word in done.stderr
         assert "Traceback" not in done.stderr

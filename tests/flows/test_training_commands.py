@@ -13,7 +13,8 @@ from models.checkpoint import dump_checkpoint, load_checkpoint
 from models.data.synthetic import SyntheticPerson
 from models.data.synthetic_actions import ACTIONS
 from models.predictor import Predictor
-from tests.unit.models.conftest import SMALL, believable_motion
+from tests.nets import SMALL
+from tests.unit.models.conftest import believable_motion
 
 STEPS = ["--steps", "2", "--batch", "8"]
 

@@ -2,12 +2,14 @@ import json
 import os
 import subprocess
 import sys
+from functools import partial
 
 import pytest
 
 from app.commands import serve
 from app.settings import load_settings
 from tests.conftest import ROOT
+from tests.processes import run
 
 
 @pytest.fixture
@@ -16,18 +18,7 @@ def kinecast(tmp_path):
     kept = {k: v for k, v in os.environ.items() if not k.startswith("KINECAST_")}
     env = kept | {"KINECAST_DATA_DIR": str(tmp_path / "data"), "COLUMNS": "200"}
 
-    def run(*arguments):
-        return subprocess.run(
-            [sys.executable, "-W", "error", "-m", "app.cli", *arguments],
-            cwd=ROOT,
-            env=env,
-            capture_output=True,
-            text=True,
-            timeout=90,
-            check=False,
-        )
-
-    return run
+    return partial(run, env=env)
 
 
 def test_key_is_printed_alone_listed_and_revoked(kinecast):

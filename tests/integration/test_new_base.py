@@ -19,9 +19,10 @@ from app.worker.setup import ask_for_refits, store_base
 from models.checkpoint import dump_checkpoint
 from models.predictor import Predictor
 from tests.live_support import serve
+from tests.nets import TINY
 from tests.personal_support import START, add_trial, add_user, claim, enqueue, finish
 from tests.support import make_settings, open_database, watch_person
-from tests.versions import SMALL, add_version, forecast_offline, know, make_personal
+from tests.versions import add_version, forecast_offline, know, make_personal
 
 pytestmark = pytest.mark.asyncio
 PERSON = watch_person(3.0)
@@ -32,7 +33,7 @@ class Base:
 
     def __init__(self, seed):
         torch.manual_seed(seed)
-        self.net = Predictor(config=SMALL).eval().requires_grad_(requires_grad=False)
+        self.net = Predictor(config=TINY).eval().requires_grad_(requires_grad=False)
         self.blob = dump_checkpoint(self.net, {})
         self.sha256 = hashlib.sha256(self.blob).hexdigest()
 

@@ -30,6 +30,11 @@ from tests.support import ADMIN_KEY, open_database
 pytestmark = pytest.mark.asyncio
 
 
+async def be_patient(client: StreamClient) -> None:
+    """A busy machine shows and answers frames more slowly than their times say."""
+    await client.send(type="configure", max_age_ms=60_000)
+
+
 async def show_live(client: StreamClient, seqs: range) -> None:
     for seq in seqs:
         await show(client, range(seq, seq + 1))
@@ -40,8 +45,7 @@ async def test_frames_wait_for_a_database_that_is_away(settings) -> None:
     with cuttable(settings) as (own, outage), serve(own) as server:
         server.add_user()
         async with server.stream() as client:
-            # a busy machine shows frames more slowly than their times say
-            await client.send(type="configure", max_age_ms=60_000)
+            await be_patient(client)
             trial = (await begin(client))["trial"]
             await show_live(client, range(20))
             await client.expect("forecast")
@@ -64,6 +68,7 @@ async def test_a_trial_that_is_stopped_during_an_outage_is_stored_after_it(setti
     with cuttable(settings) as (own, outage), serve(own) as server:
         server.add_user()
         async with server.stream() as client:
+            await be_patient(client)
             await begin(client)
             with outage:
                 await show(client, range(40))

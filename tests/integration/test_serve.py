@@ -8,7 +8,6 @@ import signal
 import socket
 import stat
 import subprocess
-import sys
 import time
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,48 +17,23 @@ import pytest
 import websockets
 
 from models.checkpoint import save_checkpoint
-from models.predictor import NetConfig, Predictor
+from models.predictor import Predictor
 from tests.conftest import ROOT
+from tests.nets import TINY
+from tests.processes import command, run
 from tests.support import ADMIN_KEY, watch_person
-
-SMALL = NetConfig(
-    encoder_hidden=8,
-    encoder_heads=2,
-    continuous=4,
-    categories=3,
-    decoder_token=4,
-    decoder_hidden=8,
-    decoder_heads=2,
-    spl_hidden=4,
-)
 
 
 @pytest.fixture(scope="module")
 def model(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("model") / "small.safetensors"
-    save_checkpoint(path, Predictor(config=SMALL), {})
+    save_checkpoint(path, Predictor(config=TINY), {})
     return path
 
 
 def environment(model: Path, **variables: str) -> dict[str, str]:
     kept = {k: v for k, v in os.environ.items() if not k.startswith("KINECAST_")}
     return kept | {"KINECAST_MODEL": str(model), "COLUMNS": "200"} | variables
-
-
-def command(*arguments: str) -> list[str]:
-    return [sys.executable, "-W", "error", "-m", "app.cli", *arguments]
-
-
-def run(*arguments: str, env: dict[str, str]) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        command(*arguments),
-        cwd=ROOT,
-        env=env,
-        capture_output=True,
-        text=True,
-        timeout=90,
-        check=False,
-    )
 
 
 @contextmanager

@@ -18,6 +18,7 @@ from app.commands.bench.probe import IdleProbe, Pause
 from app.commands.client.errors import SilenceError
 from app.commands.client.messages import Error, Forecast, Waiting
 from app.commands.client.stream import Stream, open_stream
+from app.commands.client.together import run_together
 from models.data.synthetic import SensorNoise, SyntheticPerson
 
 RATE_HZ = 30.0
@@ -163,16 +164,8 @@ async def run_load(
 
 async def _drive(clients: Sequence[_Client], start: float) -> None:
     """Run all streams, out of step with each other as people are."""
-    tasks = []
-    for n, client in enumerate(clients):
-        tasks.append(asyncio.create_task(client.send(start + n / len(clients) / RATE_HZ)))
-        tasks.append(asyncio.create_task(client.receive()))
-    try:
-        await asyncio.gather(*tasks)
-    finally:
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+    sending = (client.send(start + n / len(clients) / RATE_HZ) for n, client in enumerate(clients))
+    await run_together(*sending, *(client.receive() for client in clients))
 
 
 def _invent(seed: int, frames: int) -> Float32[np.ndarray, "time 20 3"]:

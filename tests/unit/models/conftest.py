@@ -5,18 +5,8 @@ import pytest
 import torch
 
 from models.data.clips import Clip
-from models.predictor import NetConfig, Predictor
-
-SMALL = NetConfig(
-    encoder_hidden=16,
-    encoder_heads=2,
-    continuous=8,
-    categories=5,
-    decoder_token=8,
-    decoder_hidden=16,
-    decoder_heads=2,
-    spl_hidden=8,
-)
+from models.predictor import Predictor
+from tests.nets import SMALL
 
 
 def believable_motion(seed: int, frames: int) -> np.ndarray:

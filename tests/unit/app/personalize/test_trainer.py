@@ -11,20 +11,11 @@ from models.checkpoint import dump_checkpoint, load_checkpoint, load_personal
 from models.data.clips import Clip
 from models.data.synthetic import SyntheticPerson
 from models.data.synthetic_actions import ACTIONS
-from models.predictor import NetConfig, Predictor
+from models.predictor import Predictor
 from models.training.finetune import FinetuneConfig
 from models.uncertainty import LEVELS, RadiusTable
+from tests.nets import SMALL
 
-SMALL = NetConfig(
-    encoder_hidden=16,
-    encoder_heads=2,
-    continuous=16,
-    categories=5,
-    decoder_token=8,
-    decoder_hidden=16,
-    decoder_heads=2,
-    spl_hidden=8,
-)
 QUICK = FinetuneConfig(steps=12, batch=16, copies=1)
 
 
