@@ -97,7 +97,7 @@ class Decoders:
             base: that base, as its file, where `has_base` says no.
 
         Raises:
-            UnusableWeightsError: no weights of a decoder, of another base, or no base.
+            UnusableWeightsError: no weights of a decoder, of another base, no base, or malformed.
         """
         if base_sha256 is None:
             base_sha256 = self.base_sha256
@@ -106,6 +106,8 @@ class Decoders:
             return load_personal(blob, net, base_sha256=base_sha256)
         except CheckpointError as error:
             raise UnusableWeightsError(str(error)) from error
+        except NET_FAILURES as error:  # a header that promises what is not there, and its kin
+            raise UnusableWeightsError(f"malformed: {type(error).__name__}: {error}") from error
 
     def _find_base(self, base_sha256: str, blob: bytes | None) -> Forecaster:
         """Give a base's net; one that is not this process's is loaded once and kept."""

@@ -134,13 +134,13 @@ class Library:
 
     async def _load_previous(self, user_uuid: UUID) -> Choice | None:
         """Give what was active before, None where that is the base or cannot be used either."""
-        async with self.database.read() as tx:
-            previous = await versions.read_previous(tx, user_uuid)
-        if previous.sha256 is None:
-            return None
         try:
+            async with self.database.read() as tx:
+                previous = await versions.read_previous(tx, user_uuid)
+            if previous.sha256 is None:
+                return None
             forecaster = await self._load(previous.sha256, previous.base_sha256)
-        except _UNUSABLE:
+        except (UnknownVersionError, *_UNUSABLE):  # unknown: erased with its user in between
             return None
         stamp = VersionStamp(
             previous.number, "personal", previous.sha256, share=1.0, fallback="previous_version"

@@ -22,7 +22,7 @@ from app.domain.errors import (
 from app.domain.limits import Limits
 from app.domain.streams import JobNews, OpenStream, Verdict
 from app.domain.users import Lived
-from app.live.rounds import Pause, Rounds
+from app.live.rounds import Mistakes, Pause, Rounds
 from app.live.telemetry import Telemetry
 from app.live.work import Choice
 
@@ -108,6 +108,7 @@ class Registry:
         self._of_user: Counter[UUID] = Counter()
         self._confirmed_at = time.monotonic()
         self._draining = False
+        self._mistakes = Mistakes("a stream")
         self._rounds = (
             Rounds(self._tick, every_s=TICK_S),
             Rounds(self._check_now, every_s=watch_s, listen=listen),
@@ -229,7 +230,8 @@ class Registry:
         for stream in streams.values():
             choice = choices.get(stream.stream.user_uuid)
             if choice is not None:
-                stream.switch(choice)
+                with self._guard():
+                    stream.switch(choice)
 
     def _doubt(self, now: float) -> None:
         age_s = now - self._confirmed_at
@@ -241,7 +243,16 @@ class Registry:
 
     async def _tick(self) -> None:
         for stream in list(self._streams.values()):
-            stream.tick(time.monotonic())
+            with self._guard():
+                stream.tick(time.monotonic())
+
+    @contextmanager
+    def _guard(self) -> Iterator[None]:
+        """Let a mistake in one stream harm no other."""
+        try:
+            yield
+        except Exception as error:  # noqa: BLE001 - whatever it is, the others go on
+            self._mistakes.tell(error)
 
     async def _check_now(self) -> None:
         await self.check(time.monotonic())

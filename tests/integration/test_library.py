@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 
-from app.domain.errors import VersionUnavailableError
+from app.domain.errors import UnknownVersionError, VersionUnavailableError
 from app.live.breaker import TRIP_AFTER
 from app.live.decoders import Decoders
 from app.live.library import Library
-from app.storage import users
+from app.storage import users, versions
 from models.baselines import Forecaster
 from models.personal import PersonalDecoder
 from tests.personal_support import add_user
@@ -111,3 +111,14 @@ async def test_what_was_erased_is_not_chosen(database) -> None:
     assert (await library.choose(ada, "active")).stamp.kind == "base"
     await library.follow([])
     assert not library.loaded()
+
+
+async def test_who_is_erased_while_their_weights_fail_has_the_base(database, monkeypatch) -> None:
+    async def find_nothing(*_: object) -> None:
+        raise UnknownVersionError("There is no version 1.")
+
+    (ada,) = await start(database, "ada")
+    await add_version(database, "ada", MINE)
+    monkeypatch.setattr(versions, "read_previous", find_nothing)
+    library = Library(database, Decoders(BASE, base_sha256="f" * 64))
+    assert (await library.choose(ada, "active")).stamp.fallback == "weights_missing"

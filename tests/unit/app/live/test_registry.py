@@ -162,6 +162,26 @@ async def test_streams_are_ticked(registry) -> None:
 
 
 @pytest.mark.asyncio
+async def test_a_mistake_in_one_stream_harms_no_other(database) -> None:
+    class Broken(FakeStream):
+        def tick(self, now: float) -> None:
+            raise LookupError("a mistake")
+
+        def switch(self, choice: Choice) -> None:
+            raise LookupError("a mistake")
+
+    async def follow(users):
+        return dict.fromkeys(users, Choice(VersionStamp(1, "personal", "ab")))
+
+    registry = Registry(database.watch, limits=LIMITS, telemetry=Telemetry(), follow=follow)
+    broken, healthy = Broken(session="a"), FakeStream(session="b")
+    with registry.keep(broken), registry.keep(healthy):
+        await registry._tick()
+        await registry.follow()
+    assert (healthy.ticks, len(healthy.choices)) == (1, 1)
+
+
+@pytest.mark.asyncio
 async def test_streams_go_over_to_what_is_active_for_their_user(database) -> None:
     mine, other, late = FakeStream(session="a"), FakeStream(session="b", user=uuid4()), FakeStream()
     choice = Choice(VersionStamp(1, "personal", "ab"))
