@@ -1,5 +1,6 @@
 """Has forgotten what nobody needs any more, every few minutes."""
 
+import asyncio
 from collections.abc import Callable, Collection
 from datetime import timedelta
 
@@ -13,6 +14,8 @@ from app.storage.housekeeping import Forgotten, forget, mark_used
 from app.storage.tables import utc_now
 
 EVERY_S = 300.0
+TIDY_S = 60.0
+"""Longest wait for the database."""
 
 log = structlog.get_logger(__name__)
 
@@ -43,10 +46,10 @@ class Housekeeper(Rounds):
         """Do it once; without a database, nothing happens."""
         now = utc_now()
         try:
-            async with self._database.write() as tx:
+            async with asyncio.timeout(TIDY_S), self._database.write() as tx:
                 await mark_used(tx, self._list_open(), now=now)
                 gone = await forget(tx, now=now, kept=self._kept)
-        except NotReadyError:
+        except (NotReadyError, TimeoutError):
             return Forgotten()
         if gone != Forgotten():
             log.info("forgot", answers=gone.answers, jobs=gone.jobs, sessions=gone.sessions)

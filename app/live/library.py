@@ -7,7 +7,8 @@ chose, so that nothing which is still in use can be dropped.
 import asyncio
 import time
 from collections import OrderedDict
-from collections.abc import Collection, Iterable
+from collections.abc import AsyncIterator, Collection, Iterable
+from contextlib import asynccontextmanager
 from functools import partial
 from uuid import UUID
 from weakref import WeakValueDictionary
@@ -15,6 +16,7 @@ from weakref import WeakValueDictionary
 import structlog
 
 from app.domain.errors import (
+    NotReadyError,
     UnknownVersionError,
     VersionUnavailableError,
     WeightsDamagedError,
@@ -30,6 +32,8 @@ from models.baselines import Forecaster
 
 KEPT = 64
 """Decoders that stay loaded while nobody uses them."""
+READ_S = 5.0
+"""Longest wait for what one look into the database has to tell."""
 RETRY_S = 10.0
 """How long weights that could not be used are not tried again."""
 _UNUSABLE = (UnusableWeightsError, WeightsPurgedError, WeightsDamagedError)
@@ -67,7 +71,7 @@ class Library:
             return Choice(self._decoders.resolve(requested))
         if requested != "active":
             return await self._pin(user_uuid, int(requested))
-        async with self.database.read() as tx:
+        async with _in_time(), self.database.read() as tx:
             active = await versions.read_active_of(tx, user_uuid)
         return await self._make(user_uuid, active)
 
@@ -80,7 +84,7 @@ class Library:
         if not user_uuids and not self._loaded:
             self._seen.clear()
             return {}
-        async with self.database.read() as tx:
+        async with _in_time(), self.database.read() as tx:
             found = await versions.read_active(tx, user_uuids)
             stored = await weights.list_stored(tx, tuple(self._loaded))
         for sha256 in self._loaded.keys() - stored:  # purged, or erased with its user
@@ -112,7 +116,7 @@ class Library:
         return sha256 is not None and self._decoders.breaker.is_failing(sha256)
 
     async def _explain(self, user_uuid: UUID) -> str:
-        async with self.database.read() as tx:
+        async with _in_time(), self.database.read() as tx:
             history = await versions.list_history(tx, user_uuid)
         return history[-1].kind.value if history else "promoted"
 
@@ -135,7 +139,7 @@ class Library:
     async def _load_previous(self, user_uuid: UUID) -> Choice | None:
         """Give what was active before, None where that is the base or cannot be used either."""
         try:
-            async with self.database.read() as tx:
+            async with _in_time(), self.database.read() as tx:
                 previous = await versions.read_previous(tx, user_uuid)
             if previous.sha256 is None:
                 return None
@@ -150,7 +154,7 @@ class Library:
 
     async def _pin(self, user_uuid: UUID, number: int) -> Choice:
         try:
-            async with self.database.read() as tx:
+            async with _in_time(), self.database.read() as tx:
                 version = await versions.get(tx, user_uuid, number)
             forecaster = await self._load(version.sha256, version.base_sha256)
         except UnknownVersionError as error:
@@ -187,7 +191,7 @@ class Library:
 
     async def _fetch(self, sha256: str, base_sha256: str | None) -> Forecaster:
         build = partial(self._decoders.build, base_sha256=base_sha256)
-        async with self.database.read() as tx:
+        async with _in_time(), self.database.read() as tx:
             blob = await weights.get(tx, sha256)
             if base_sha256 is not None and not self._decoders.has_base(base_sha256):
                 build = partial(build, base=await weights.get(tx, base_sha256))
@@ -197,3 +201,13 @@ class Library:
         failed_at = self._failed_at.get(sha256)
         if failed_at is not None and time.monotonic() - failed_at < RETRY_S:
             raise UnusableWeightsError("they failed a moment ago")
+
+
+@asynccontextmanager
+async def _in_time() -> AsyncIterator[None]:
+    """Take a database that hangs for one that is away."""
+    try:
+        async with asyncio.timeout(READ_S):
+            yield
+    except TimeoutError:
+        raise NotReadyError("The database takes too long.") from None

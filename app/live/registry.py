@@ -83,9 +83,9 @@ class Registry:
         follow: tells what is active; None where everybody has the base.
         listen: gives a way to wait between two looks.
         watch_s: how often to ask.
-        unconfirmed_s: without an answer for this long, forecasts are flagged.
-        close_s: without an answer for this long, streams are closed: what they serve may have
-            been erased.
+        unconfirmed_s: without an answer of either for this long, forecasts are flagged.
+        close_s: without an answer of `watch` for this long, streams are closed: what they serve
+            may have been erased.
     """
 
     def __init__(
@@ -107,6 +107,7 @@ class Registry:
         self._of_key: Counter[UUID] = Counter()
         self._of_user: Counter[UUID] = Counter()
         self._confirmed_at = time.monotonic()
+        self._lost_at: float | None = None
         self._draining = False
         self._mistakes = Mistakes("a stream")
         self._rounds = (
@@ -209,8 +210,9 @@ class Registry:
             self._doubt(now)
             return
         self._confirmed_at = now
+        unconfirmed = self._is_unconfirmed(now)
         for stream in list(self._streams.values()):
-            stream.set_unconfirmed(unconfirmed=False)
+            stream.set_unconfirmed(unconfirmed=unconfirmed)
             verdict = verdicts.get(stream.stream)
             if verdict is not None:
                 stream.end(_REASONS[verdict]())
@@ -222,26 +224,36 @@ class Registry:
         """
         if self._follow is None:
             return
+        began = time.monotonic()
         try:
             streams = dict(self._streams)  # one that opens meanwhile may know better
             choices = await self._follow({stream.user_uuid for stream in streams})
-        except NotReadyError:  # `check` deals with that
+        except NotReadyError:
+            self._lost_at = began if self._lost_at is None else self._lost_at
             return
+        self._lost_at = None
         for stream in streams.values():
             choice = choices.get(stream.stream.user_uuid)
             if choice is not None:
                 with self._guard():
                     stream.switch(choice)
 
+    def _is_unconfirmed(self, now: float) -> bool:
+        """Tell whether the database has been silent for too long, to `check` or to `follow`."""
+        since = self._confirmed_at if self._lost_at is None else self._lost_at
+        return now - min(since, self._confirmed_at) > self._unconfirmed_s
+
     def _doubt(self, now: float) -> None:
-        age_s = now - self._confirmed_at
+        """Flag and close what the database has not confirmed for too long."""
+        if not self._is_unconfirmed(now):
+            return
         for stream in list(self._streams.values()):
-            if age_s > self._unconfirmed_s:
-                stream.set_unconfirmed(unconfirmed=True)
-            if age_s > self._close_s:
+            stream.set_unconfirmed(unconfirmed=True)
+            if now - self._confirmed_at > self._close_s:
                 stream.end(NotReadyError("The database has been out of reach for too long."))
 
     async def _tick(self) -> None:
+        self._doubt(time.monotonic())  # here too: a question may hang for long before it fails
         for stream in list(self._streams.values()):
             with self._guard():
                 stream.tick(time.monotonic())

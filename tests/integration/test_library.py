@@ -2,15 +2,24 @@
 
 import asyncio
 import threading
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from datetime import timedelta
 from typing import Any
+from uuid import uuid4
 
 import pytest
+from sqlalchemy.ext.asyncio import AsyncSession
 
-from app.domain.errors import UnknownVersionError, VersionUnavailableError
+from app.domain.errors import NotReadyError, UnknownVersionError, VersionUnavailableError
+from app.live import housekeeper
+from app.live import library as library_module
 from app.live.breaker import TRIP_AFTER
 from app.live.decoders import Decoders
 from app.live.library import Library
 from app.storage import users, versions
+from app.storage.database import Database
+from app.storage.housekeeping import Forgotten
 from models.baselines import Forecaster
 from models.personal import PersonalDecoder
 from tests.personal_support import add_user
@@ -122,3 +131,30 @@ async def test_who_is_erased_while_their_weights_fail_has_the_base(database, mon
     monkeypatch.setattr(versions, "read_previous", find_nothing)
     library = Library(database, Decoders(BASE, base_sha256="f" * 64))
     assert (await library.choose(ada, "active")).stamp.fallback == "weights_missing"
+
+
+class HungDatabase(Database):
+    """A database that takes every question and answers none."""
+
+    @asynccontextmanager
+    async def read(self) -> AsyncIterator[AsyncSession]:
+        await asyncio.sleep(60)
+        async with super().read() as tx:
+            yield tx
+
+
+async def test_a_database_that_hangs_is_not_waited_for(settings, monkeypatch) -> None:
+    monkeypatch.setattr(library_module, "READ_S", 0.1)
+    monkeypatch.setattr(housekeeper, "TIDY_S", 0.1)
+    monkeypatch.setattr(HungDatabase, "write", HungDatabase.read)
+    database = HungDatabase.from_settings(settings)
+    library = Library(database, Decoders(BASE, base_sha256=BASE_SHA256))
+    keeper = housekeeper.Housekeeper(database, list, kept=timedelta(days=1))
+    async with asyncio.timeout(10):
+        for asked in (library.follow([uuid4()]), library.choose(uuid4(), "active")):
+            with pytest.raises(NotReadyError):
+                await asked
+        with pytest.raises(NotReadyError):
+            await library.choose(uuid4(), 1)
+        assert await keeper.tidy() == Forgotten()
+    await database.close()

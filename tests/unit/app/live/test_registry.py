@@ -1,4 +1,5 @@
 import asyncio
+import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from uuid import UUID, uuid4
@@ -122,6 +123,56 @@ async def test_without_the_database_streams_are_flagged_and_then_closed(registry
         await registry.check(begin + 73)
         assert stream.ended.code == "not_ready"
         await registry.stop()
+
+
+@pytest.mark.asyncio
+async def test_streams_are_flagged_and_closed_while_a_question_hangs(database) -> None:
+    async def hang(streams: Sequence[OpenStream]) -> Mapping[OpenStream, Verdict]:
+        await asyncio.sleep(60)
+        return {}
+
+    registry = Registry(
+        hang, limits=LIMITS, telemetry=Telemetry(), unconfirmed_s=0.2, close_s=0.4, watch_s=60.0
+    )
+    stream = FakeStream()
+    with registry.keep(stream):
+        asking = asyncio.create_task(registry.check(time.monotonic()))
+        await registry._tick()
+        assert not stream.unconfirmed
+        await asyncio.sleep(0.25)
+        await registry._tick()
+        assert stream.unconfirmed
+        await asyncio.sleep(0.2)
+        await registry._tick()
+        assert stream.ended.code == "not_ready"
+        await asking
+
+
+@pytest.mark.asyncio
+async def test_streams_are_flagged_while_nobody_tells_what_is_active(database) -> None:
+    is_away = True
+
+    async def follow(users):
+        if is_away:
+            raise NotReadyError
+        return {}
+
+    registry = Registry(database.watch, limits=LIMITS, telemetry=Telemetry(), follow=follow)
+    stream = FakeStream()
+    with registry.keep(stream):
+        begin = time.monotonic()
+        for _ in range(2):
+            await registry.follow()
+        await registry.check(begin + 9)
+        assert not stream.unconfirmed
+        await registry.check(begin + 11)
+        assert stream.unconfirmed
+        await registry.check(begin + 90)
+        assert stream.ended is None  # whose weights are to go is known
+        is_away = False
+        await registry.follow()
+        await registry.check(begin + 91)
+        assert not stream.unconfirmed
 
 
 @pytest.mark.asyncio
