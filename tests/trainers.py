@@ -41,6 +41,22 @@ def picky(lesson, report):
     return Learned(Verdict.REJECT, "not better", b"loser", {"before": [1.0], "after": [2.0]})
 
 
+def infinite(lesson, report):
+    """Has figures that are no numbers."""
+    time.sleep(0.3)  # progress is not passed on more often
+    report({"step": 1, "loss": float("nan")})
+    time.sleep(0.6)  # the worker looks now and then
+    learned = quick(lesson, report)
+    figures = {"before": [1.0, float("inf")], "deep": {"after": (float("-inf"), 0.5)}}
+    return Learned(learned.verdict, learned.message, learned.blob, learned.metrics | figures)
+
+
+def unspeakable(lesson, report):
+    """Says what PostgreSQL keeps in no text."""
+    learned = quick(lesson, report)
+    return Learned(learned.verdict, "\x00", learned.blob, learned.metrics)
+
+
 def broken(lesson, report):
     raise ValueError("the loss is not finite")
 

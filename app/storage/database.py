@@ -10,19 +10,22 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
+import structlog
 from sqlalchemy import Connection, event, text
 from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import (
     ArgumentError,
+    DataError,
     DBAPIError,
     IntegrityError,
     InterfaceError,
     OperationalError,
+    ProgrammingError,
 )
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from sqlalchemy.ext.asyncio import AsyncEngine, AsyncSession, create_async_engine
 
-from app.domain.errors import NotReadyError, StartError
+from app.domain.errors import InternalError, NotReadyError, StartError
 from app.settings import Settings
 from app.storage.announcements import Announcements, read_announced
 
@@ -36,6 +39,10 @@ _DRIVERS = {
     "sqlite+aiosqlite": "sqlite+aiosqlite",
 }
 _UNREACHABLE = (OperationalError, InterfaceError, PoolTimeoutError)
+_MENDABLE = frozenset({"3F000", "42501", "42703", "42P01"})
+"""What PostgreSQL calls a schema, right, column or table that is not there: yet, or any more."""
+
+log = structlog.get_logger(__name__)
 
 
 def find_database(settings: Settings) -> URL:
@@ -104,6 +111,7 @@ class Database:
 
         Raises:
             NotReadyError: the database cannot be reached, or every connection is in use.
+            InternalError: it refuses a statement, and always would.
         """
         async with _translate_outage(), AsyncSession(self._readers) as session:
             yield session
@@ -114,6 +122,7 @@ class Database:
 
         Raises:
             NotReadyError: the database cannot be reached, or another writer takes too long.
+            InternalError: it refuses a statement, and always would.
         """
         async with (
             _translate_outage(),
@@ -172,8 +181,19 @@ async def _translate_outage() -> AsyncIterator[None]:
         raise  # a broken promise of the caller's, not of the database
     except _UNREACHABLE as error:
         raise NotReadyError("The database cannot be reached.") from error
-    except DBAPIError as error:  # damaged, half migrated, or not to be written to
+    except DBAPIError as error:
+        if _is_hopeless(error):  # whoever took it for an outage would repeat it for ever
+            kind = type(error.orig).__name__
+            log.warning("the database refuses a statement", kind=kind, statement=error.statement)
+            raise InternalError(f"The database refuses a statement ({kind}).") from error
+        # damaged, half migrated, or not to be written to
         raise NotReadyError("The database cannot be used.") from error
+
+
+def _is_hopeless(error: DBAPIError) -> bool:
+    """Tell whether a statement is at fault, by its text or its values, rather than the database."""
+    is_ours = isinstance(error, DataError | ProgrammingError) and not error.connection_invalidated
+    return is_ours and getattr(error.orig, "sqlstate", None) not in _MENDABLE
 
 
 def _postgres_options(timeout_s: float) -> dict[str, Any]:

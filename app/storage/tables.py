@@ -1,5 +1,6 @@
 """The tables. Every constraint has a name, so that every database can change it later."""
 
+import math
 from datetime import UTC, datetime
 from typing import Any, ClassVar
 from uuid import UUID, uuid4
@@ -74,6 +75,34 @@ class Scopes(TypeDecorator[frozenset[Scope]]):
         return None if value is None else frozenset(Scope(name) for name in value.split(","))
 
 
+class Figures(TypeDecorator[dict[str, Any]]):
+    """What the nets or their judge have to say, as JSON, which knows no NaN and no infinity.
+
+    PostgreSQL refuses them, and SQLite would keep what no client can read.
+    """
+
+    impl = JSON(none_as_null=True)
+    cache_ok = True
+
+    def process_bind_param(
+        self, value: dict[str, Any] | None, dialect: Dialect
+    ) -> dict[str, Any] | None:
+        """Write none where a number is not finite."""
+        del dialect
+        return None if value is None else {name: keep_finite(one) for name, one in value.items()}
+
+
+def keep_finite(value: object) -> object:
+    """Replace numbers that are not finite by None, however deep they are."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {name: keep_finite(one) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [keep_finite(one) for one in value]
+    return value
+
+
 def utc_now() -> datetime:
     """Give the moment, in UTC."""
     return datetime.now(UTC)
@@ -86,7 +115,7 @@ class Base(DeclarativeBase):
     type_annotation_map: ClassVar[dict[Any, Any]] = {
         datetime: Instant,
         frozenset[Scope]: Scopes,
-        dict[str, Any]: JSON(none_as_null=True),
+        dict[str, Any]: Figures,
         list[str]: JSON(none_as_null=True),
         list[float]: JSON(none_as_null=True),
     }

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 import structlog
 
-from app.domain.errors import NotReadyError, UnknownUserError
+from app.domain.errors import InternalError, NotReadyError, UnknownUserError
 from app.domain.jobs import Claim, JobReason, JobState
 from app.personalize.promote import prepare_task, store_outcome
 from app.personalize.run import Outcome, Task
@@ -103,12 +103,20 @@ class Worker:
                     now=now,
                     base_sha256=self._rules.base_sha256,
                 )
-        except NotReadyError as error:
+        except (NotReadyError, InternalError) as error:
             log.warning("no job can be claimed", why=error.message)
             return None
 
     async def _work(self, held: Claim) -> None:
         log.info("job started", job=str(held.job_id), attempt=held.attempt)
+        try:
+            await self._carry_out(held)
+        except InternalError as error:  # the next attempt may come to something else
+            log.warning("attempt failed", job=str(held.job_id), why=error.message)
+            with suppress(InternalError):  # then the lease runs out
+                await self._until_ready(lambda: self._fail(held, error.message))
+
+    async def _carry_out(self, held: Claim) -> None:
         if held.cancelled:
             await self._close_cancelled(held)
             return
@@ -243,7 +251,11 @@ class Worker:
         log.info("job given back", job=str(held.job_id))
 
     async def _until_ready(self, step: Callable[[], Awaitable[Value]]) -> Value | None:
-        """Repeat a step until the database answers; None where this worker has to leave first."""
+        """Repeat a step until the database answers; None where this worker has to leave first.
+
+        Raises:
+            InternalError: the database does answer, and refuses.
+        """
         while True:
             try:
                 return await step()

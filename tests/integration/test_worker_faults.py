@@ -13,7 +13,7 @@ from app.domain.errors import NotReadyError
 from app.storage import versions
 from tests.conftest import ROOT
 from tests.integration.test_trials_api import upload
-from tests.integration.test_worker import add_job, get, running, wait_for
+from tests.integration.test_worker import add_job, get, make_worker, running, wait_for
 from tests.outage import cuttable
 from tests.support import open_database, watch_person
 
@@ -38,6 +38,36 @@ async def test_a_job_outlives_a_database_that_goes_away(settings):
                     await asyncio.sleep(1.2)  # by then there is a result that cannot be stored
                 await wait_for(database, job_id, lambda job: job.state.is_final)
             await expect_one_version(database, user, job_id, attempt=1)
+
+
+async def test_a_result_that_cannot_be_stored_fails_its_attempt_and_holds_nobody_up(database):
+    ada, _, job_id = await add_job(database)
+    await add_job(database, "bob")
+    assert await asyncio.wait_for(make_worker(database, "unspeakable").run_pending(), 30) == 2
+    if database.is_sqlite:  # which keeps any text
+        await expect_one_version(database, ada, job_id, attempt=1)
+        return
+    job = await get(database, job_id)
+    assert (job.state, job.attempt) == ("running", 1)
+    assert job.message == "The database refuses a statement (DataError)."
+    async with database.write() as tx:
+        assert await versions.list_all(tx, ada.uuid) == []
+        await tx.execute(text("UPDATE jobs SET lease_until = created_at"))
+    assert await make_worker(database, "quick").run_pending() == 2
+    await expect_one_version(database, ada, job_id, attempt=2)
+
+
+async def test_figures_that_are_no_numbers_are_stored_as_none(database):
+    user, _, job_id = await add_job(database)
+    async with running(database, "infinite", heartbeat_s=0.1):
+        told = await wait_for(database, job_id, lambda job: "loss" in (job.progress or {}))
+        await wait_for(database, job_id, lambda job: job.state.is_final)
+    assert told.progress == {"step": 1, "loss": None}
+    await expect_one_version(database, user, job_id, attempt=1)
+    async with database.read() as tx:
+        (version,) = await versions.list_all(tx, user.uuid)
+    assert version.metrics["before"] == [1.0, None]
+    assert version.metrics["deep"] == {"after": [None, 0.5]}
 
 
 @contextmanager
