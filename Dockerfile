@@ -35,7 +35,7 @@ VOLUME /var/lib/kinecast
 EXPOSE 8000
 STOPSIGNAL SIGTERM
 HEALTHCHECK --interval=10s --timeout=5s --start-period=60s --retries=3 \
-    CMD ["python", "-c", "import urllib.request as u; u.urlopen('http://127.0.0.1:8000/readyz', timeout=4)"]
+    CMD ["python", "-c", "import os, urllib.request as u; u.urlopen('http://127.0.0.1:' + os.environ['KINECAST_PORT'] + '/readyz', timeout=4)"]
 # The exec form, so that the signal to stop reaches kinecast and no shell.
 ENTRYPOINT ["kinecast"]
 CMD ["serve"]

@@ -167,9 +167,10 @@ async def growth(bench: Bench) -> list[dict[str, Any]]:
             {
                 "subject": subject,
                 "trials": 0,
-                "cm2": _round(score_forecaster(bench.base.predictor, windows)),
+                "cm2": _base(bench, windows),
             }
         )
+        _say(rows[-1])
         for trial in ("1", "2", "3"):
             told = await bench.train(user, bench.select(subject, trial), label=f"trial {trial}")
             net = await bench.load(user, told["active"])

@@ -115,7 +115,10 @@ def load_checkpoint(source: Path | bytes) -> Checkpoint:
         radius = _restore_radius(tensors[_RADIUS], metadata, predictor.spec)
     if any(name.startswith(_ADVERSARY) for name in tensors):
         size = predictor.config
-        hidden = metadata["pretraining"]["adversary_hidden"]
+        try:
+            hidden = int(metadata["pretraining"]["adversary_hidden"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise CheckpointError(f"the discriminators are not described: {error!r}") from error
         adversary = Adversary(continuous=size.continuous, categories=size.categories, hidden=hidden)
         _fill(adversary, tensors, _ADVERSARY)
     return Checkpoint(predictor, metadata, hashlib.sha256(blob).hexdigest(), radius, adversary)
@@ -213,7 +216,7 @@ def _restore_familiarity(
         for name, tensor in tensors.items()
         if name.startswith(_FAMILIARITY)
     }
-    if not found:
+    if not found and "familiarity" not in metadata:
         return None
     try:
         familiarity = Familiarity.restore(found, metadata["familiarity"])
@@ -244,7 +247,10 @@ def _build(metadata: dict[str, Any]) -> Predictor:
     if metadata.get("skeleton") != list(KINECT_V1.joints):
         raise CheckpointError("the checkpoint was trained on another skeleton")
     known = {field.name for field in fields(NetConfig)}
-    unknown = set(metadata["config"]) - known
-    if unknown:
-        raise CheckpointError(f"sizes unknown to this version: {sorted(unknown)}")
-    return Predictor(MotionSpec(**metadata["spec"]), NetConfig(**metadata["config"]))
+    try:
+        unknown = set(metadata["config"]) - known
+        if unknown:
+            raise CheckpointError(f"sizes unknown to this version: {sorted(unknown)}")
+        return Predictor(MotionSpec(**metadata["spec"]), NetConfig(**metadata["config"]))
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        raise CheckpointError(f"no net of this version is described: {error!r}") from error

@@ -7,6 +7,7 @@ has in the forecast. The rest is the base's: a decoder that was fitted to one mo
 about another.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -99,7 +100,10 @@ class Familiarity:
             raise ValueError("its parts have different sizes")
         if not len(points):
             raise ValueError("it knows no window")
-        return cls(mean, axes, points, FamiliarityRule(**described))
+        rule = FamiliarityRule(**described)
+        if not (0 <= rule.half < math.inf and 0 < rule.width < math.inf):
+            raise ValueError(f"its rule is impossible: {rule}")
+        return cls(mean, axes, points, rule)
 
 
 def _thin_out(count: int) -> Tensor:

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from app.personalize.folds import Fold
-from app.personalize.judge import SHARES, Figures, Rival, no_figures
+from app.personalize.judge import SHARES, Figures, Rival, join, no_figures
 from models.data.clips import Clip
 from models.data.windows import Windows, cut_windows
 from models.decoder import Decoder
@@ -35,6 +35,11 @@ class Examined:
     like: Figures
     unlike: Figures
     offsets: Float[np.ndarray, "share window horizon joint"]
+
+    @property
+    def both(self) -> Figures:
+        """The errors on all that was left out."""
+        return join([self.like, self.unlike])
 
     def distances(self, share: float) -> Float[np.ndarray, "window horizon joint"]:
         """Give the distances of one blend."""
@@ -71,7 +76,8 @@ def _measure(
     whole = torch.from_numpy(np.concatenate([windows.observed, windows.future], axis=1))
     with torch.inference_mode():
         found = encode_windows(candidate.base, whole)
-        gate = candidate.share(found.z)[:, None, None, None]
+        gate = torch.cat([candidate.share(part) for part in found.z.split(_BATCH)])
+        gate = gate[:, None, None, None]
         of_base = _roll(candidate.base, candidate.base.decoder, found)
         errors, offsets = [], []
         for share in SHARES:

@@ -3,12 +3,14 @@
 Motion *like* that recorded: whole trials left out where there are several; another repetition of
 the same action where there is one; else the later part of a clip of which the earlier part was
 learnt, so far apart that they share no frame. Motion *unlike* it: whole clips left out, with all
-clips of the same action.
+clips of the same action; where fewer than five actions are told apart, single clips, which may
+resemble what is learnt.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from app.personalize.judge import FEWEST_UNLIKE
 from models.data.clips import Clip
 from models.spec import MotionSpec
 
@@ -75,10 +77,17 @@ def _leave_trials_out(blocks: Sequence[Clip], trials: list[str]) -> list[Fold]:
 
 
 def _leave_motions_out(blocks: Sequence[Clip], newest: str) -> Fold:
-    """Leave out a quarter of the motions, of all trials if labelled, else of the newest."""
-    known = list(blocks) if all(block.action for block in blocks) else []
-    groups = _group(known or [block for block in blocks if block.trial == newest])
-    unlike = tuple(block for i, group in enumerate(groups) if i % 4 == 3 for block in group)
+    """Leave out a quarter of the motions: of all trials if labelled, else of the newest.
+
+    Where that would be too few to say anything, of all trials as well; and never fewer than two.
+    """
+    fresh = [block for block in blocks if block.trial == newest]
+    is_labelled = all(block.action for block in blocks)
+    groups = _group(blocks if is_labelled or len(fresh) < 4 * FEWEST_UNLIKE else fresh)
+    every = 4 if len(groups) >= 4 * FEWEST_UNLIKE else 2
+    unlike = tuple(
+        block for i, group in enumerate(groups) if i % every == every - 1 for block in group
+    )
     left = {id(block) for block in unlike}
     learn = tuple(block for group in groups for block in group if id(block) not in left)
     return Fold(learn, unlike=unlike)
@@ -117,7 +126,7 @@ def _split(group: Sequence[Clip]) -> tuple[list[Clip], list[Clip]]:
     clip = group[0]
     starts = len(clip.poses) - _SPEC.frames + 1
     early = (starts - GAP_FRAMES + 1) // 2
-    if starts - GAP_FRAMES < 2:
+    if early < 1:
         return [clip], []
     earlier = replace(clip, poses=clip.poses[: early + _SPEC.frames - 1])
     return [earlier], [replace(clip, poses=clip.poses[early - 1 + GAP_FRAMES :])]

@@ -46,6 +46,10 @@ class JudgeRule:
     lose_margin: float = 0.01
 
 
+FEWEST_UNLIKE = 2
+"""Clips of other motion without which nobody can say whether a candidate hurts there."""
+
+
 @dataclass(frozen=True, eq=False)
 class Figures:
     """Errors on clips that were left out, in cm², for each clip and reported frame.
@@ -79,7 +83,7 @@ class Figures:
             "before_cm2": np.round(self.before.mean(axis=0), 3).tolist(),
             "after_cm2": np.round(after.mean(axis=0), 3).tolist(),
             "ratio": round(found.ratio, 4),
-            "standard_error": round(found.error, 4),
+            "standard_error": round(found.error, 4) if np.isfinite(found.error) else None,
         }
 
 
@@ -93,9 +97,10 @@ class Comparison:
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """The active version on a new trial, beside the candidate that did not see it either.
+    """The active version beside the candidate, on clips that neither was fitted on.
 
     Attributes:
+        where: these clips, for people.
         base, active: their errors at the last frame, cm².
         candidate: of the candidate, for every one of `SHARES`.
     """
@@ -103,6 +108,7 @@ class Rival:
     base: Float[np.ndarray, " clip"]
     active: Float[np.ndarray, " clip"]
     candidate: Float[np.ndarray, "share clip"]
+    where: str = "the new trial"
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,8 +162,10 @@ def judge(evidence: Evidence, rule: JudgeRule | None = None) -> Ruling:
     """Rule on a candidate: promote it at the largest blend that passes, or say what it failed."""
     rule = rule or JudgeRule()
     both = join([evidence.like, evidence.unlike])
+    if not (np.isfinite(both.after).all() and np.isfinite(both.before).all()):
+        return Ruling(Verdict.REJECT, SHARES[-1], "The fit went astray: its errors are not finite.")
     best = min(SHARES, key=lambda share: both.compare(share).ratio)
-    if both.compare(best).ratio >= 1:
+    if not both.compare(best).ratio < 1:
         told = _tell("clips and parts of clips left out", both.compare(best))
         return _reject(evidence, best, f"It does not help: {told}.", rule)
     passed = [share for share in SHARES if _is_admissible(evidence, share, rule)]
@@ -172,7 +180,9 @@ def judge(evidence: Evidence, rule: JudgeRule | None = None) -> Ruling:
 
 def _is_admissible(evidence: Evidence, share: float, rule: JudgeRule) -> bool:
     like, unlike = evidence.like.compare(share), evidence.unlike.compare(share)
-    if len(evidence.unlike) and unlike.ratio > 1 + rule.hurt_errors * unlike.error:
+    if len(evidence.unlike) < FEWEST_UNLIKE:
+        return False
+    if not unlike.ratio <= 1 + rule.hurt_errors * unlike.error:
         return False
     if evidence.trials:
         return like.ratio < 1 - rule.trial_errors * like.error
@@ -194,6 +204,8 @@ def _explain_success(evidence: Evidence, share: float) -> str:
 
 def _explain_failure(evidence: Evidence, share: float) -> str:
     unlike, like = evidence.unlike.compare(share), evidence.like.compare(share)
+    if len(evidence.unlike) < FEWEST_UNLIKE:
+        return "There is too little other motion to tell whether that would suffer; record more."
     return (
         f"Even {share:.0%} of the way from the base is not good enough: on motion like that "
         f"recorded the error changes by {_percent(like)}, on other motion by {_percent(unlike)}."
@@ -210,17 +222,17 @@ def _find_lost_trial(evidence: Evidence, share: float, rule: JudgeRule) -> str |
     if rival is not None:
         found = compare(rival.active, rival.candidate[SHARES.index(share)])
         if found.ratio - rule.lose_errors * found.error > 1 + rule.lose_margin:
-            return f"It loses against the active version on the new trial: {_percent(found)}."
+            return f"It loses against the active version on {rival.where}: {_percent(found)}."
     return None
 
 
 def _reject(evidence: Evidence, share: float, why: str, rule: JudgeRule) -> Ruling:
-    """Reject; and where the active version does harm on the new trial, take that back as well."""
+    """Reject; and where the active version does harm on new motion, take that back as well."""
     rival = evidence.rival
     if rival is not None:
         found = compare(rival.base, rival.active)
         if found.ratio - rule.lose_errors * found.error > 1 + rule.lose_margin:
-            told = f"The active version does harm on the new trial ({_percent(found)})"
+            told = f"The active version does harm on {rival.where} ({_percent(found)})"
             return Ruling(Verdict.RETURN_TO_BASE, share, f"{why} {told}: back to the base.")
     return Ruling(Verdict.REJECT, share, why)
 

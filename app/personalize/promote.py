@@ -8,6 +8,7 @@ from sqlalchemy.ext.asyncio import AsyncSession
 
 from app.domain.errors import WeightsDamagedError, WeightsPurgedError
 from app.domain.jobs import Claim, JobReason
+from app.domain.trials import ClipFlaw
 from app.personalize.run import Outcome, Task, TaskClip
 from app.storage import results, trials, users, versions, weights
 from app.storage.results import Result
@@ -88,6 +89,8 @@ async def store_outcome(
         trained_on=tuple(UUID(trial) for trial in outcome.trained_on),
     )
     reason = await results.finish(tx, held, result, now=now, keep=keep)
+    # whose body a trial shows is a matter of majority, and that may have turned
+    await trials.clear_flaw(tx, held.trials, flaw=ClipFlaw.NOT_THIS_PERSON)
     for found in outcome.flaws:
         await trials.mark_flaw(tx, UUID(found.trial), found.ordinal, flaw=found.flaw)
     return reason

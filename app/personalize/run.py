@@ -16,6 +16,7 @@ from app.domain.trials import ClipFlaw
 from app.domain.versions import Verdict
 from app.personalize.bodies import Bodies, Bones, tell_apart
 from app.personalize.quality import Checked, check_clip
+from models.arithmetic import arithmetic
 from models.data.clips import Clip
 from models.skeleton import SKELETONS
 
@@ -149,16 +150,9 @@ def run_task(task: Task, trainer: Trainer, report: Report) -> Outcome:
         return Outcome(Verdict.TOO_LITTLE_DATA, _explain_nothing(flaws), None, {}, flaws)
     if _is_nothing_new(task, clips):
         return Outcome(Verdict.REJECT, _explain_nothing_new(flaws, task), None, {}, flaws)
-    lesson = Lesson(
-        base=task.base,
-        active=task.active,
-        clips=clips,
-        active_base=task.active_base,
-        active_trials=frozenset(task.active_trials),
-        steps=task.steps,
-    )
     report({"phase": "training", "clips": len(clips)})
-    learned = trainer(lesson, report)
+    with arithmetic(task.threads):
+        learned = trainer(_to_lesson(task, clips), report)
     return Outcome(
         verdict=learned.verdict,
         message=learned.message,
@@ -166,6 +160,17 @@ def run_task(task: Task, trainer: Trainer, report: Report) -> Outcome:
         metrics=learned.metrics,
         flaws=flaws,
         trained_on=list(dict.fromkeys(clip.trial for clip in clips)),
+    )
+
+
+def _to_lesson(task: Task, clips: tuple[Clip, ...]) -> Lesson:
+    return Lesson(
+        base=task.base,
+        active=task.active,
+        clips=clips,
+        active_base=task.active_base,
+        active_trials=frozenset(task.active_trials),
+        steps=task.steps,
     )
 
 

@@ -6,6 +6,7 @@ included; the final weights are those of the fit on all clips, blended as far as
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,13 @@ from app.personalize.exam import Examined, examine, measure_rival
 from app.personalize.folds import MIN_BLOCKS, Fold, cut_blocks, make_folds
 from app.personalize.judge import SHARES, Evidence, Rival, Ruling, join, judge
 from app.personalize.run import Learned, Lesson, Report
-from models.checkpoint import Checkpoint, dump_personal, load_checkpoint, load_personal
+from models.checkpoint import (
+    Checkpoint,
+    CheckpointError,
+    dump_personal,
+    load_checkpoint,
+    load_personal,
+)
 from models.data.clips import Clip, data_hash
 from models.data.windows import cut_windows
 from models.familiarity import Familiarity
@@ -46,22 +53,23 @@ class _Course:
         gate = learn_familiarity(self.base.predictor, clips)
         return PersonalDecoder(self.base.predictor, decoder, gate, {})
 
+    def examine(self, folds: Sequence[Fold], *, first: int = 0) -> list[Examined]:
+        """Fit and measure a candidate for every fold."""
+        return [
+            examine(self.fit(fold.learn, number=first + i, phase="judging"), fold)
+            for i, fold in enumerate(folds)
+        ]
+
     def _tell(self, phase: str, number: int) -> Callable[[FinetuneProgress], None]:
         def tell(progress: FinetuneProgress) -> None:
-            left = progress.seconds_left
-            left += (
-                (self.fits - number - 1)
-                * left
-                * progress.steps
-                / max(progress.steps - progress.step, 1)
-            )
+            done, steps = progress.step + number * progress.steps, self.fits * progress.steps
             self.report(
                 {
                     "phase": phase,
-                    "step": progress.step + number * progress.steps,
-                    "steps": self.fits * progress.steps,
-                    "loss": round(progress.loss, 5),
-                    "seconds_left": round(left, 1),
+                    "step": done,
+                    "steps": steps,
+                    "loss": round(progress.loss, 5) if isfinite(progress.loss) else None,
+                    "seconds_left": round((steps - done) * progress.seconds / progress.step, 1),
                 }
             )
 
@@ -75,14 +83,19 @@ def train(lesson: Lesson, report: Report, *, config: FinetuneConfig | None = Non
     if not folds:
         return Learned(Verdict.TOO_LITTLE_DATA, _explain_too_little(blocks), None, {})
     base, active = load_checkpoint(lesson.base), _load_active(lesson)
-    course = _Course(base, config or _configure(lesson.steps), report, fits=len(folds) + 1)
-    examined = [
-        examine(course.fit(fold.learn, number=i, phase="judging"), fold)
-        for i, fold in enumerate(folds)
-    ]
-    evidence = _gather(folds, examined, rival=_meet(active, lesson, folds, examined))
+    is_refit = active is not None and lesson.clips[-1].trial in lesson.active_trials
+    runs = 2 if is_refit and lesson.active_base is not None else 1
+    config = config or _configure(lesson.steps)
+    course = _Course(base, config, report, fits=runs * len(folds) + 1)
+    examined = course.examine(folds)
+    rival = _meet(active, lesson, folds, examined)
+    if active is not None and runs == 2:
+        rival = _refight(active, replace(course, base=_load_base(lesson)), folds, examined)
+    evidence = _gather(folds, examined, rival=rival)
     ruling = judge(evidence)
-    whole = course.fit(blocks, number=len(folds), phase="fitting")
+    whole = course.fit(blocks, number=runs * len(folds), phase="fitting")
+    if not all(bool(weight.isfinite().all()) for weight in whole.decoder.parameters()):
+        return Learned(Verdict.REJECT, "The fit went astray: its weights are not finite.", None, {})
     metrics = _summarise(ruling, evidence, lesson)
     described = {
         "data": data_hash(list(lesson.clips)),
@@ -115,11 +128,22 @@ def _configure(steps: int | None) -> FinetuneConfig:
 
 
 def _load_active(lesson: Lesson) -> PersonalDecoder | None:
-    """Build the active version, behind the encoder that it was fitted on."""
+    """Build the active version behind the encoder that it was fitted on.
+
+    One that cannot be read, which no service can run either, is nothing to compare with.
+    """
     if lesson.active is None:
         return None
-    base = load_checkpoint(lesson.active_base or lesson.base)
-    return load_personal(lesson.active, base.predictor, base_sha256=base.sha256)
+    try:
+        base = _load_base(lesson)
+        return load_personal(lesson.active, base.predictor, base_sha256=base.sha256)
+    except CheckpointError:
+        return None
+
+
+def _load_base(lesson: Lesson) -> Checkpoint:
+    """Load the base that the active version runs on."""
+    return load_checkpoint(lesson.active_base or lesson.base)
 
 
 def _gather(
@@ -152,6 +176,25 @@ def _meet(
     return None
 
 
+def _refight(
+    active: PersonalDecoder, course: _Course, folds: Sequence[Fold], examined: Sequence[Examined]
+) -> Rival:
+    """Measure the active version's recipe, on its own base, where the candidate's was measured.
+
+    The version itself was fitted on every trial, so nothing is left to measure it on. What can be
+    compared fairly are fits on the same parts of the trials, on the old base and on the new one.
+    """
+    share = min(SHARES, key=lambda one: abs(one - float(active.metadata.get("share", SHARES[0]))))
+    old = join([part.both for part in course.examine(folds, first=len(folds))])
+    new = join([part.both for part in examined])
+    return Rival(
+        base=old.before[:, -1],
+        active=old.after[SHARES.index(share), :, -1],
+        candidate=new.after[:, :, -1],
+        where="motion left out",
+    )
+
+
 def _summarise(ruling: Ruling, evidence: Evidence, lesson: Lesson) -> dict[str, Any]:
     metrics: dict[str, Any] = {
         "frames": list(FRAMES),
@@ -170,7 +213,8 @@ def _summarise(ruling: Ruling, evidence: Evidence, lesson: Lesson) -> dict[str, 
     rival = evidence.rival
     if rival is not None:
         candidate = rival.candidate[SHARES.index(ruling.share)]
-        metrics["new_trial"] = {
+        metrics["rival"] = {
+            "where": rival.where,
             "base_cm2": round(float(rival.base.mean()), 3),
             "active_cm2": round(float(rival.active.mean()), 3),
             "candidate_cm2": round(float(candidate.mean()), 3),

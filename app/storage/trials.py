@@ -174,10 +174,17 @@ async def iterate_clips(tx: AsyncSession, trial_ids: Sequence[UUID]) -> AsyncIte
             yield clip
 
 
-async def mark_flaw(
-    tx: AsyncSession, trial_id: UUID, ordinal: int, *, flaw: ClipFlaw | None
-) -> None:
-    """Note what is wrong with a clip, or that nothing is, once it was looked at more closely."""
+async def clear_flaw(tx: AsyncSession, trial_ids: Sequence[UUID], *, flaw: ClipFlaw) -> None:
+    """Take one kind of flaw back from all clips of some trials, before they are judged again."""
+    await tx.execute(
+        update(ClipRow)
+        .where(ClipRow.trial_id.in_(trial_ids), ClipRow.flaw == flaw)
+        .values(flaw=None)
+    )
+
+
+async def mark_flaw(tx: AsyncSession, trial_id: UUID, ordinal: int, *, flaw: ClipFlaw) -> None:
+    """Note what is wrong with a clip, once it was looked at more closely."""
     await tx.execute(
         update(ClipRow)
         .where(ClipRow.trial_id == trial_id, ClipRow.ordinal == ordinal)

@@ -8,8 +8,6 @@ from collections.abc import Mapping
 from time import monotonic
 from typing import Any, BinaryIO
 
-import torch
-
 from app.personalize.run import Trainer, run_task
 from app.worker.messages import Done, Failed, Progress, pack, read_start
 
@@ -25,7 +23,6 @@ def main() -> None:
     sys.stdout = sys.stderr  # whatever a library prints must not get between the messages
     start = read_start(receive)
     threading.Thread(target=_leave_with_the_worker, args=(receive.fileno(),), daemon=True).start()
-    torch.set_num_threads(start.task.threads)
     tell = _Teller(send)
     try:
         outcome = run_task(start.task, find_trainer(start.trainer), tell)

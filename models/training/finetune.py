@@ -2,11 +2,11 @@
 
 Encoder, latent and discriminators are frozen, so everything that they say of a window is computed
 once, before training, for a few augmented copies of every window; what is left is the small
-decoder alone. Rates may differ by part (discriminative fine-tuning, Howard and Ruder 2018), and the
-weights are drawn back to the base's a little, so that little data moves them little.
+decoder alone. Rates may differ by part (discriminative fine-tuning, Howard and Ruder 2018).
 """
 
 import copy
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from time import monotonic
@@ -36,9 +36,10 @@ class FinetuneConfig:
         learning_rate: peak of the one-cycle schedule, well below that of phase 1.
         warm_up: share of the steps in which the rate rises.
         rates: factor on the rate for parts of the decoder, by the beginning of their names.
-        copies: augmented copies of every window.
+        copies: augmented copies of every window, as far as `most` allows.
+        most: windows, copies included, that are encoded and held; of more than that, every second
+            or third is taken, evenly.
         augmentation: what makes the copies; the person's own body and habits, so no mirror.
-        anchor: weight of the squared distance from the base's weights, as a decay towards them.
         average: decay of the moving average of the weights, which is what is kept.
         clip: largest norm of the gradient.
         seed: of sampling and augmentation.
@@ -50,6 +51,7 @@ class FinetuneConfig:
     warm_up: float = 0.15
     rates: Mapping[str, float] = field(default_factory=dict)
     copies: int = 6
+    most: int = 30_000
     augmentation: Augmentation = field(
         default_factory=lambda: replace(
             Augmentation(),
@@ -63,7 +65,6 @@ class FinetuneConfig:
             still=0.0,
         )
     )
-    anchor: float = 0.0
     average: float = 0.98
     clip: float = 1.0
     seed: int = 0
@@ -71,12 +72,12 @@ class FinetuneConfig:
 
 @dataclass(frozen=True, slots=True)
 class FinetuneProgress:
-    """Where a fit is; `loss` is that of phase 1."""
+    """Where a fit is; `loss` is that of phase 1, `seconds` have gone by since its first step."""
 
     step: int
     steps: int
     loss: float
-    seconds_left: float
+    seconds: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,23 +116,34 @@ def encode_windows(
         encoded = predictor.encode(part[:, :observe])
         placed = predictor.normalizer.to_net(part[:, observe:], encoded.placement)
         target = (placed - encoded.seed[:, None]) * predictor.normalizer.scales[0]
-        parts.append((encoded.z, encoded.c, encoded.seed, target))
-    return Encodings(*(torch.cat(column) for column in zip(*parts, strict=True)))
+        parts.append(Encodings(encoded.z, encoded.c, encoded.seed, target))
+    return join_encodings(parts)
 
 
 def encode_clips(predictor: Predictor, clips: Sequence[Clip], config: FinetuneConfig) -> Encodings:
-    """Cut clips into windows and encode `copies` augmented versions of each.
+    """Cut clips into windows and encode some augmented versions of each.
 
     Raises:
         ValueError: no clip is as long as a window.
     """
     cut = cut_windows(clips, predictor.spec)
     whole = torch.cat([torch.as_tensor(cut.observed), torch.as_tensor(cut.future)], dim=1)
-    copies = [
-        augment(whole, config.augmentation, observe=predictor.spec.observe)
-        for _ in range(config.copies)
-    ]
-    return encode_windows(predictor, torch.cat(copies))
+    whole = whole[:: math.ceil(len(whole) / config.most)]
+    copies = min(config.copies, max(1, config.most // len(whole)))
+    return join_encodings(
+        [
+            encode_windows(
+                predictor, augment(whole, config.augmentation, observe=predictor.spec.observe)
+            )
+            for _ in range(copies)
+        ]
+    )
+
+
+def join_encodings(parts: Sequence[Encodings]) -> Encodings:
+    """Put encodings one after the other."""
+    columns = ([part.z, part.c, part.seed, part.target] for part in parts)
+    return Encodings(*(torch.cat(column) for column in zip(*columns, strict=True)))
 
 
 def finetune(
@@ -177,9 +189,9 @@ def fit_decoder(
         loss.backward()
         nn.utils.clip_grad_norm_(decoder.parameters(), config.clip)
         optimizer.step()
-        _follow(decoder, base, average, anchor=config.anchor * shape, keep=config.average)
-        left = (monotonic() - began) / (step + 1) * (config.steps - step - 1)
-        report(FinetuneProgress(step + 1, config.steps, float(loss.detach()), left))
+        _follow(decoder, average, keep=config.average)
+        spent = monotonic() - began
+        report(FinetuneProgress(step + 1, config.steps, float(loss.detach()), spent))
     return average.eval().requires_grad_(requires_grad=False)
 
 
@@ -207,12 +219,7 @@ def _groups(decoder: Decoder, config: FinetuneConfig) -> list[dict[str, object]]
 
 
 @torch.no_grad()
-def _follow(
-    decoder: Decoder, base: Decoder, average: Decoder, *, anchor: float, keep: float
-) -> None:
-    """Draw the weights back to the base's, and let their average follow them."""
-    triples = zip(decoder.parameters(), base.parameters(), average.parameters(), strict=True)
-    for weight, origin, averaged in triples:
-        if anchor:
-            weight.lerp_(origin, anchor)
+def _follow(decoder: Decoder, average: Decoder, *, keep: float) -> None:
+    """Let the average of the weights follow them."""
+    for weight, averaged in zip(decoder.parameters(), average.parameters(), strict=True):
         averaged.lerp_(weight, 1 - keep)

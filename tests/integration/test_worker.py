@@ -134,6 +134,16 @@ async def test_somebody_else_is_left_out_of_training(database):
         found = {clip.flaw for clip in (await trials.get(tx, user, strange.id)).clips}
     assert trained_on == sorted([str(first.id), str(second.id)])
     assert found == {ClipFlaw.NOT_THIS_PERSON}
+    for _ in range(2):  # now most trials show the other body
+        await add_more(database, user, make_stranger())
+    await make_worker(database, "quick").run_pending()
+    async with database.read() as tx:
+        found = {
+            trial.id: {clip.flaw for clip in (await trials.get(tx, user, trial.id)).clips}
+            for trial in (first, second, strange)
+        }
+    assert found[strange.id] == {None}
+    assert found[first.id] == found[second.id] == {ClipFlaw.NOT_THIS_PERSON}
 
 
 async def test_a_trial_that_cannot_be_trained_on_changes_nothing(database):

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from app.commands.figures import summarize
 from app.personalize.offline import personalize
 from models.checkpoint import SHIPPED
@@ -41,8 +39,6 @@ class FinetunePlan:
 
 def measure_finetune(plan: FinetunePlan) -> dict[str, Any]:
     """Time whole runs: checks, the fits for the judge, the judge, and the final fit."""
-    torch.set_num_threads(plan.threads)
-    torch.set_flush_denormal(True)
     base = (plan.model or SHIPPED).read_bytes()
     seconds: list[float] = []
     verdicts: dict[str, int] = {}

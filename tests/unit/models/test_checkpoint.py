@@ -10,9 +10,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from safetensors.torch import save
 
-from models.checkpoint import CheckpointError, dump_checkpoint, load_checkpoint, save_checkpoint
+from models.checkpoint import (
+    CheckpointError,
+    dump_checkpoint,
+    load_checkpoint,
+    parse_blob,
+    save_checkpoint,
+)
+from models.latent import Adversary
 from models.predictor import Predictor
 from models.uncertainty import LEVELS, RadiusTable
+from tests.nets import SMALL
 
 
 def make_radius() -> RadiusTable:
@@ -109,3 +117,17 @@ def test_bad_table_of_radii_is_refused(
     blob = tampered(predictor, radius_table=table, **changes)
     with pytest.raises(CheckpointError, match=words):
         load_checkpoint(blob)
+
+
+@pytest.mark.parametrize("lost", ["config", "spec", "pretraining"])
+def test_a_checkpoint_that_does_not_describe_its_net_is_refused(lost: str) -> None:
+    net = Predictor(config=SMALL)
+    size = {"continuous": SMALL.continuous, "categories": SMALL.categories}
+    blob = dump_checkpoint(
+        net, {"pretraining": {"adversary_hidden": 8}}, adversary=Adversary(**size, hidden=8)
+    )
+    metadata, tensors = parse_blob(blob)
+    del metadata[lost]
+    broken = save({**tensors}, metadata={"kinecast": json.dumps(metadata)})
+    with pytest.raises(CheckpointError, match="described"):
+        load_checkpoint(broken)

@@ -67,3 +67,10 @@ def test_parts_that_do_not_belong_together_are_refused(windows: torch.Tensor) ->
     ):
         with pytest.raises(ValueError, match=r"sizes|no window"):
             Familiarity.restore(known.tensors() | {name: other}, known.describe())
+
+
+@pytest.mark.parametrize("wrong", [{"width": 0.0}, {"width": float("nan")}, {"half": -1.0}])
+def test_a_rule_that_cannot_be_is_refused(windows: torch.Tensor, wrong: dict[str, float]) -> None:
+    known = Familiarity.fit(windows)
+    with pytest.raises(ValueError, match="impossible"):
+        Familiarity.restore(known.tensors(), known.describe() | wrong)

@@ -117,3 +117,23 @@ def test_every_first_trial_of_five_blocks_can_be_judged_by_motion_unlike_it() ->
     for count in range(MIN_BLOCKS, 30):
         folds = make_folds([make_clip(i, 60) for i in range(count)])
         assert sum(len(fold.unlike) for fold in folds) >= 2, count
+
+
+@given(st.integers(1, 12), st.integers(1, 12))
+def test_every_second_trial_can_be_judged_by_motion_left_out(first: int, second: int) -> None:
+    clips = [make_clip(i, 70, trial="a" if i < first else "b") for i in range(first + second)]
+    folds = make_folds(clips)
+    if len(clips) < MIN_BLOCKS:
+        assert folds == []
+        return
+    (unlike,) = (fold for fold in folds if fold.unlike)
+    assert len(unlike.unlike) >= 2
+    assert not frames_of(unlike.learn) & frames_of(unlike.unlike)
+
+
+def test_of_one_long_take_later_parts_are_left_out_as_well() -> None:
+    folds = make_folds(cut_blocks([make_clip(0, 900)]))
+    for fold in folds:
+        assert fold.like
+        assert all(len(clip.poses) == 30 for clip in fold.like)
+        assert not frames_of(fold.learn) & frames_of(fold.like)

@@ -122,3 +122,26 @@ def test_without_later_parts_the_motion_left_out_decides() -> None:
     assert judge(make_evidence(no_figures(), make_figures(0.9))).verdict is Verdict.PROMOTE
     assert judge(make_evidence(no_figures(), make_figures(1.1))).verdict is Verdict.REJECT
     assert no_figures().summarise(SHARES[0]) == {"clips": 0}
+
+
+def test_without_enough_other_motion_nothing_is_promoted() -> None:
+    for clips in (0, 1):
+        unlike = make_figures(0.9, clips=clips) if clips else no_figures()
+        ruling = judge(make_evidence(make_figures(0.7), unlike, {"b": make_figures(0.7)}))
+        assert ruling.verdict is Verdict.REJECT
+        assert "too little other motion" in ruling.message
+    harmful = make_figures(5.0, clips=1)
+    assert judge(make_evidence(make_figures(0.7), harmful)).verdict is Verdict.REJECT
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+def test_errors_that_are_no_numbers_are_never_promoted(wrong: float) -> None:
+    for like, unlike in ((wrong, 0.9), (0.9, wrong), (wrong, wrong)):
+        ruling = judge(make_evidence(make_figures(like), make_figures(unlike)))
+        assert ruling.verdict is Verdict.REJECT
+        assert "not finite" in ruling.message
+
+
+def test_figures_of_one_clip_have_no_standard_error() -> None:
+    told = make_figures(0.9, clips=1).summarise(SHARES[0])
+    assert told["standard_error"] is None

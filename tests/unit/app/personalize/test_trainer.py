@@ -1,3 +1,4 @@
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -97,6 +98,42 @@ def test_a_second_trial_meets_the_active_version_where_it_was_not_trained(base: 
     both = (*first, *record("two"))
     known = Lesson(base, active.blob, both, active_trials=frozenset({"one"}))
     learned = train(known, lambda _: None, config=QUICK)
-    assert set(learned.metrics["new_trial"]) == {"base_cm2", "active_cm2", "candidate_cm2"}
+    told = learned.metrics["rival"]
+    assert told.pop("where") == "the new trial"
+    assert set(told) == {"base_cm2", "active_cm2", "candidate_cm2"}
     nothing_new = replace(known, active_trials=frozenset({"one", "two"}))
-    assert "new_trial" not in train(nothing_new, lambda _: None, config=QUICK).metrics
+    assert "rival" not in train(nothing_new, lambda _: None, config=QUICK).metrics
+
+
+def test_on_a_new_base_a_fit_must_not_lose_against_fits_on_the_old_one(base: bytes) -> None:
+    clips, told = tuple(record("one")), list[dict]()
+    active = train(Lesson(base, None, clips), lambda _: None, config=QUICK)
+    worse = load_checkpoint(base)
+    with torch.no_grad():
+        for weight in worse.predictor.decoder.parameters():
+            weight.add_(0.1 * torch.randn_like(weight))
+    blob = dump_checkpoint(worse.predictor, {}, radius=worse.radius)
+    again = Lesson(blob, active.blob, clips, active_base=base, active_trials=frozenset({"one"}))
+    learned = train(again, lambda values: told.append(dict(values)), config=QUICK)
+    assert learned.metrics["rival"]["where"] == "motion left out"
+    assert learned.metrics["rival"]["candidate_cm2"] > learned.metrics["rival"]["active_cm2"]
+    assert learned.verdict is Verdict.REJECT
+    assert told[-1]["step"] == told[-1]["steps"] == 5 * QUICK.steps
+    same = replace(again, base=base)
+    figures = train(same, lambda _: None, config=QUICK).metrics["rival"]
+    assert figures["candidate_cm2"] == figures["active_cm2"]
+
+
+def test_an_active_version_that_nobody_can_read_is_nothing_to_compare_with(base: bytes) -> None:
+    lesson = Lesson(base, b"rotten", tuple(record("one")))
+    assert "rival" not in train(lesson, lambda _: None, config=QUICK).metrics
+
+
+def test_a_fit_that_goes_astray_is_rejected_and_leaves_no_weights(base: bytes) -> None:
+    config = replace(QUICK, learning_rate=1e30)
+    told: list[dict] = []
+    lesson = Lesson(base, None, tuple(record("one")))
+    learned = train(lesson, lambda line: told.append(dict(line)), config=config)
+    assert (learned.verdict, learned.blob) == (Verdict.REJECT, None)
+    assert "astray" in learned.message
+    assert json.dumps(told, allow_nan=False)

@@ -9,6 +9,7 @@ from models.training.finetune import (
     FinetuneConfig,
     FinetuneProgress,
     blend,
+    encode_clips,
     encode_windows,
     finetune,
 )
@@ -81,14 +82,19 @@ def test_progress_is_told_and_may_stop_the_fit(predictor: Predictor, clips: list
     assert all(progress.steps == QUICK.steps and progress.loss > 0 for progress in told)
 
 
-def test_an_anchor_keeps_the_weights_near_the_base(predictor: Predictor, clips: list[Clip]) -> None:
-    def travel(anchor: float) -> float:
-        config = FinetuneConfig(steps=30, batch=16, copies=1, anchor=anchor)
-        decoder = finetune(predictor, clips, config)
-        pairs = zip(decoder.parameters(), predictor.decoder.parameters(), strict=True)
-        return sum(float((new - old).detach().square().sum()) for new, old in pairs)
+def test_however_much_was_recorded_what_is_held_stays_bounded(
+    predictor: Predictor, clips: list[Clip]
+) -> None:
+    def count(most: int) -> int:
+        config = FinetuneConfig(copies=3, most=most)
+        with torch.random.fork_rng(devices=[]):
+            return len(encode_clips(predictor, clips, config))
 
-    assert travel(0.1) < 0.8 * travel(0.0)
+    whole = count(10**6)
+    assert whole % 3 == 0
+    assert count(whole - 1) == whole // 3 * 2
+    assert count(whole // 3) == whole // 3
+    assert 5 < count(10) <= 10
 
 
 def test_a_blend_lies_between_base_and_fit(predictor: Predictor, clips: list[Clip]) -> None:
