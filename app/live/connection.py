@@ -29,6 +29,8 @@ READ_OUT_S = 1.0
 """Longest wait for what a client sent before it left to be read: it may have stopped a trial."""
 SETTLE_S = 4.0
 """Longest wait for the last frames of a recording to be stored."""
+AGAIN_S = 0.3
+"""Where that fails meanwhile, it is tried again after this long."""
 
 Fetch = Callable[[int], Awaitable[Choice]]
 """Loads a pinned version of the user; raises VersionUnavailableError where it cannot be used."""
@@ -223,10 +225,20 @@ class Connection:
         self._perform(self._session.wrote(outcome, time.monotonic()))
 
     async def _settle(self, scribe: asyncio.Task[None]) -> None:
-        """Store what was recorded until now, as far as that is quick."""
+        """Store what was recorded until now, as far as that is quick.
+
+        A database that is away may be back in a second, so what failed is tried again till then.
+        """
         recorder = self._session.recorder
-        self._perform(recorder.leave(time.monotonic()))
-        await self._scribe.settle(SETTLE_S, scribe)
+        until = time.monotonic() + SETTLE_S
+        while True:
+            self._perform(recorder.leave(time.monotonic()))
+            await self._scribe.settle(until - time.monotonic(), scribe)
+            is_over = scribe.done() or time.monotonic() + AGAIN_S >= until
+            if recorder.is_settled or is_over:
+                break
+            await asyncio.sleep(AGAIN_S)
+        scribe.cancel()
         if recorder.waiting:
             log.warning("a stream ended with frames that are not stored", frames=recorder.waiting)
 

@@ -102,6 +102,11 @@ class Recorder:
         return early + len(self._tape)
 
     @property
+    def is_settled(self) -> bool:
+        """Whether nothing is left that a stream which ends would have to store."""
+        return self._phase is _Phase.IDLE or (self._closing is None and not self.waiting)
+
+    @property
     def floor(self) -> int | None:
         """The newest frame that was stored before this stream; None where that does not matter."""
         return None if self._phase is _Phase.IDLE else self._floor
@@ -204,6 +209,7 @@ class Recorder:
             return [Send(self._ended)]
         self._phase, self._opening, self._opened_at = _Phase.OPENING, step, now
         self._closing, self._ended, self._early = None, None, []
+        self._is_away = False  # of an outage that ended another recording nothing was told here
         self._tape, self._floor = Tape(Opened(), joints=self._joints), None
         return self._pump(now)
 

@@ -36,8 +36,7 @@ class Scribe:
             self._steps.task_done()
 
     async def settle(self, timeout_s: float, running: asyncio.Task[None]) -> None:
-        """Wait until nothing is to be done, but not for long; then end the task of `run`."""
+        """Wait until nothing is to be done, but not for long, nor for a `run` that has ended."""
         done = asyncio.create_task(self._steps.join())
         await asyncio.wait({done, running}, timeout=timeout_s, return_when=asyncio.FIRST_COMPLETED)
         done.cancel()
-        running.cancel()

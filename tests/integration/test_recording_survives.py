@@ -80,6 +80,27 @@ async def test_a_trial_that_is_stopped_during_an_outage_is_stored_after_it(setti
     assert (await read_trial(settings, told["trial"]))[0].frames == 40
 
 
+async def test_a_stream_that_leaves_in_an_outage_is_stored_if_that_is_short(settings) -> None:
+    with cuttable(settings) as (own, outage), serve(own) as server:
+        server.add_user()
+        async with server.stream() as client:
+            await be_patient(client)
+            trial = (await begin(client))["trial"]
+            with outage:
+                await show(client, range(40))
+                await client.send(type="trial.stop")
+                assert (await client.expect("error"))["code"] == "trial_unavailable"
+                await client.socket.close()
+                await asyncio.sleep(2.0)
+        async with asyncio.timeout(10):
+            while len(server.app.state.registry):  # noqa: ASYNC110 - of another thread
+                await asyncio.sleep(0.05)
+    found, clips = await read_trial(settings, trial)
+    assert (found.state, found.frames) == ("stored", 40)
+    assert [len(clip) for clip in clips] == [40]
+    assert len(await list_jobs(settings)) == 1
+
+
 @pytest.fixture
 def doomed(settings):
     """A replica in a process of its own, which may be killed."""

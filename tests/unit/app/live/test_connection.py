@@ -7,10 +7,10 @@ from uuid import uuid4
 import pytest
 import pytest_asyncio
 
-from app.domain.errors import DrainingError, KinecastError
+from app.domain.errors import DrainingError, KinecastError, NotReadyError
 from app.domain.streams import OpenStream
 from app.live.codec import Codec
-from app.live.connection import STALL_S, Connection, GoneError
+from app.live.connection import SETTLE_S, STALL_S, Connection, GoneError
 from app.live.decoders import Decoders
 from app.live.engine import Engine
 from app.live.outbox import FULL, Outbox
@@ -55,15 +55,19 @@ class FakeSocket:
 
 
 class MemoryArchive:
-    """A database in memory, which may be slow."""
+    """A database in memory, which may be slow, or away for some steps."""
 
     def __init__(self) -> None:
         self.rig = ListArchive()
         self.answers = asyncio.Event()
         self.answers.set()
+        self.failures = 0
 
     async def __call__(self, step: Step) -> Outcome:
         await self.answers.wait()
+        if self.failures:
+            self.failures -= 1
+            raise NotReadyError
         return self.rig.perform(step)
 
 
@@ -168,6 +172,33 @@ async def test_a_slow_database_does_not_delay_forecasts(live: Fixture) -> None:
     await live.task
     (clip,) = live.archive.rig.clips.values()
     assert [frame.seq for frame in clip] == list(range(40))
+
+
+@pytest.mark.asyncio
+async def test_what_is_not_stored_at_the_end_is_tried_again(live: Fixture) -> None:
+    live.socket.inbox.put_nowait(json.dumps({"type": "trial.start"}))
+    await live.until(lambda: live.socket.taken[-1:] and live.socket.taken[-1]["type"] == "trial")
+    live.archive.failures = 3
+    for seq in range(40):
+        live.socket.show(seq)
+    live.socket.inbox.put_nowait(json.dumps({"type": "trial.stop"}))
+    live.socket.inbox.put_nowait(None)
+    await live.task
+    (clip,) = live.archive.rig.clips.values()
+    assert [frame.seq for frame in clip] == list(range(40))
+    assert live.archive.rig.state == "stored"
+
+
+@pytest.mark.asyncio
+async def test_a_stream_does_not_wait_for_ever_for_its_last_frames(live: Fixture) -> None:
+    live.archive.failures = 10**6
+    live.socket.inbox.put_nowait(json.dumps({"type": "trial.start"}))
+    live.socket.show(0)
+    live.socket.inbox.put_nowait(None)
+    began = time.monotonic()
+    await live.task
+    assert time.monotonic() - began < SETTLE_S + 0.5
+    assert live.archive.rig.state is None
 
 
 @pytest.mark.asyncio

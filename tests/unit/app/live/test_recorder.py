@@ -265,6 +265,38 @@ def test_a_trial_that_cannot_begin_is_given_up() -> None:
     assert rig.last.state == "recording"
 
 
+def test_an_outage_is_told_to_every_recording_that_it_keeps() -> None:
+    rig = Rig()
+    rig.say(TrialStart())
+    rig.answer(fails=NotReadyError())
+    rig.tick(11.0)
+    assert rig.codes == ["trial_unavailable"] * 2  # it waits; it is given up
+    rig.say(TrialStart())
+    rig.answer(fails=NotReadyError())
+    assert rig.codes == ["trial_unavailable"] * 3
+    rig.tick()
+    rig.answer(fails=NotReadyError())
+    assert rig.codes == ["trial_unavailable"] * 3
+
+
+def test_a_stream_that_leaves_is_settled_when_nothing_is_left_to_store() -> None:
+    rig = Rig()
+    assert rig.recorder.is_settled
+    rig.say(TrialStart())
+    assert rig.recorder.is_settled  # an empty trial is no loss
+    rig.settle()
+    rig.show(range(10))
+    rig.say(TrialStop())
+    for _ in range(2):
+        rig.answer(fails=NotReadyError())
+        assert not rig.recorder.is_settled
+        rig.take(rig.recorder.leave(rig.now))
+    rig.answer()
+    assert not rig.recorder.is_settled  # the end of the trial is not stored
+    rig.settle()
+    assert rig.recorder.is_settled
+
+
 def test_a_fenced_stream_ends_and_a_lost_recording_is_told() -> None:
     rig = begin()
     rig.show(range(30))
