@@ -194,15 +194,14 @@ async def list_of_user(tx: AsyncSession, user_uuid: UUID) -> list[Job]:
 async def cancel(tx: AsyncSession, job_id: UUID, *, actor: UUID | None, now: datetime) -> Job:
     """Call a job off; for one that has ended, nothing changes.
 
-    One that waits, or whose worker is gone, is cancelled at once; a worker that has it sees it
-    within a second.
+    One that waits, for its first attempt or for another, or whose worker is gone, is cancelled at
+    once; a worker that has it sees it within a second.
 
     Raises:
         UnknownJobError: there is none.
     """
-    idle = (JobRow.state == JobState.QUEUED) | (
-        (JobRow.state == JobState.RUNNING) & (JobRow.lease_until <= now)
-    )
+    gone = JobRow.lease_owner.is_(None) | (JobRow.lease_until <= now)  # it failed, or vanished
+    idle = (JobRow.state == JobState.QUEUED) | ((JobRow.state == JobState.RUNNING) & gone)
     ended = (
         update(JobRow)
         .where(JobRow.id == job_id, idle)

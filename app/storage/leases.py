@@ -124,9 +124,16 @@ async def renew(
     return Hold.CANCELLED if cancelling else Hold.HELD
 
 
-async def look(tx: AsyncSession, held: Claim) -> Hold:
-    """Learn whether the job is still wanted, without a sign of life; cheap enough to ask often."""
-    cancelling = await tx.scalar(select(JobRow.cancelling).where(*_guard(held)))
+async def look(tx: AsyncSession, held: Claim, *, lock: bool = False) -> Hold:
+    """Learn whether the job is still wanted, without a sign of life; cheap enough to ask often.
+
+    Args:
+        tx: a transaction.
+        held: the claim.
+        lock: let nobody call it off before the transaction ends, which is one for writing then.
+    """
+    query = select(JobRow.cancelling).where(*_guard(held))
+    cancelling = await tx.scalar(query.with_for_update() if lock else query)
     if cancelling is None:
         return Hold.LOST
     return Hold.CANCELLED if cancelling else Hold.HELD
@@ -140,7 +147,12 @@ async def give_back(tx: AsyncSession, held: Claim, *, now: datetime) -> bool:
 
 
 async def fail(tx: AsyncSession, held: Claim, *, message: str, now: datetime) -> bool:
-    """End an attempt that failed: to be tried again later, or for good after the last one."""
+    """End an attempt that failed: to be tried again later, or for good after the last one.
+
+    Nobody waits for another attempt at what was called off meanwhile: that ends as cancelled.
+    """
+    if await look(tx, held, lock=True) is Hold.CANCELLED:
+        return await close_cancelled(tx, held, now=now)
     wait = retry_after(held.attempt)
     if wait is None:
         return await close(
@@ -178,6 +190,12 @@ async def close(
         lease_until=None,
         version=version,
     )
+
+
+async def close_cancelled(tx: AsyncSession, held: Claim, *, now: datetime) -> bool:
+    """End a job that was called off; tells whether it was still this worker's."""
+    state, reason = JobState.CANCELLED, JobReason.CANCELLED
+    return await close(tx, held, state=state, reason=reason, message=None, now=now)
 
 
 def _guard(held: Claim) -> tuple[Any, ...]:

@@ -18,6 +18,7 @@ from app.domain.versions import (
     must_withdraw,
 )
 from app.storage import leases, versions
+from app.storage.leases import Hold
 from app.storage.versions import NewVersion
 
 
@@ -51,7 +52,7 @@ class Result:
 async def finish(
     tx: AsyncSession, held: Claim, result: Result, *, now: datetime, keep: int
 ) -> JobReason:
-    """End a job with its result.
+    """End a job with its result; one that was called off ends so, and nothing is stored of it.
 
     Args:
         tx: a transaction for writing, of this alone.
@@ -68,8 +69,26 @@ async def finish(
             transaction must end without being stored, which raising through it does.
         UnknownUserError: the user was erased just now.
     """
-    number, reason = None, JobReason.TOO_LITTLE_DATA
     standing = await versions.read_standing(tx, held.user_uuid)
+    if await leases.look(tx, held, lock=True) is Hold.CANCELLED:
+        await leases.close_cancelled(tx, held, now=now)
+        return JobReason.CANCELLED
+    number, reason = await _store(tx, held, result, standing, keep=keep)
+    won = reason in {JobReason.PROMOTED, JobReason.AWAITS_PROMOTION}
+    state = JobState.SUCCEEDED if won else JobState.REJECTED
+    ours = await leases.close(
+        tx, held, state=state, reason=reason, message=result.message, now=now, version=number
+    )
+    if not ours:
+        raise FencedJobError(f"job {held.job_id} is no longer held by fence {held.fence}")
+    return reason
+
+
+async def _store(
+    tx: AsyncSession, held: Claim, result: Result, standing: Standing, *, keep: int
+) -> tuple[int | None, JobReason]:
+    """Store what came out; gives the number of its version, if any, and what became of it."""
+    number, reason = None, JobReason.TOO_LITTLE_DATA
     if result.blob is not None:
         number, reason = await _add_version(tx, held, result, result.blob, standing)
         await versions.purge(tx, held.user_uuid, keep=keep)
@@ -79,17 +98,7 @@ async def finish(
         await versions.activate(
             tx, held.user_uuid, BASE_NUMBER, kind=ActivationKind.WITHDRAWN, actor=None
         )
-    state = (
-        JobState.SUCCEEDED
-        if reason in {JobReason.PROMOTED, JobReason.AWAITS_PROMOTION}
-        else JobState.REJECTED
-    )
-    ours = await leases.close(
-        tx, held, state=state, reason=reason, message=result.message, now=now, version=number
-    )
-    if not ours:
-        raise FencedJobError(f"job {held.job_id} is no longer held by fence {held.fence}")
-    return reason
+    return number, reason
 
 
 async def _add_version(

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import structlog
 
 from app.domain.errors import InternalError, NotReadyError, UnknownUserError
-from app.domain.jobs import Claim, JobReason, JobState
+from app.domain.jobs import Claim, JobReason
 from app.personalize.promote import prepare_task, store_outcome
 from app.personalize.run import Outcome, Task
 from app.storage import leases
@@ -231,14 +231,7 @@ class Worker:
     async def _close_cancelled(self, held: Claim) -> None:
         async def close() -> bool:
             async with self._database.write() as tx:
-                return await leases.close(
-                    tx,
-                    held,
-                    state=JobState.CANCELLED,
-                    reason=JobReason.CANCELLED,
-                    message=None,
-                    now=await leases.read_clock(tx),
-                )
+                return await leases.close_cancelled(tx, held, now=await leases.read_clock(tx))
 
         await self._until_ready(close)
         log.info("job cancelled", job=str(held.job_id))

@@ -228,6 +228,40 @@ async def test_job_without_a_worker_is_cancelled_all_the_same(database, when):
         await finish(database, held)
 
 
+async def test_job_that_waits_for_another_attempt_is_cancelled_at_once(database):
+    user, _, job_id = await add_job(database)
+    held = await claim(database)
+    async with database.write() as tx:
+        await leases.fail(tx, held, message="no memory", now=START)
+        await enqueue(tx, user)
+    async with database.write() as tx:
+        job = await jobs.cancel(tx, job_id, actor=None, now=START)
+    assert (job.state, job.finished_at) == (JobState.CANCELLED, START)
+    assert await claim(database) is not None  # of the same user
+
+
+async def test_attempt_that_fails_when_it_was_called_off_is_not_tried_again(database):
+    _, _, job_id = await add_job(database)
+    held = await claim(database)
+    async with database.write() as tx:
+        await jobs.cancel(tx, job_id, actor=None, now=START)
+        assert await leases.fail(tx, held, message="no memory", now=START)
+    assert (await get(database, job_id)).state == JobState.CANCELLED
+
+
+@pytest.mark.parametrize("verdict", Verdict)
+async def test_of_a_job_that_was_called_off_nothing_is_stored(database, verdict):
+    _, _, job_id = await add_job(database)
+    held = await claim(database)
+    async with database.write() as tx:
+        await jobs.cancel(tx, job_id, actor=None, now=START)
+    assert await finish(database, held, verdict=verdict) is JobReason.CANCELLED
+    job = await get(database, job_id)
+    assert (job.state, job.reason, job.version) == ("cancelled", "cancelled", None)
+    for table in (WeightsRow, VersionRow, ActivationRow):
+        assert await count(database, table) == 0
+
+
 async def test_cancelling_what_has_ended_changes_nothing(database):
     _, _, job_id = await add_job(database)
     await finish(database, await claim(database))
