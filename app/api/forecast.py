@@ -3,6 +3,7 @@
 import asyncio
 import time
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Annotated, Any
 
 import msgspec
@@ -50,16 +51,19 @@ from app.domain.errors import (
 )
 from app.domain.motion import RequestedVersion, Severity
 from app.domain.users import User
+from app.live.choosing import guard_choice
 from app.live.engine import Engine
 from app.live.forecasting import Answer, make_answer
 from app.live.frames import WindowRules
 from app.live.window import WindowReady, assemble
-from app.live.work import EngineRequest, EngineResult
+from app.live.work import Choice, EngineRequest, EngineResult
 from app.settings import Settings
 from models.skeleton import SKELETONS
 
 router = APIRouter(tags=["forecast"])
 
+FEW_FRAMES = 60
+"""So many are put together at once; more of them in a thread."""
 _MAX_VERSION = 2**31 - 1
 
 
@@ -208,7 +212,8 @@ async def forecast(
     state = request.app.state
     wanted = body.request
     choice = await state.library.choose(user.uuid, wanted.version)
-    ready = _assemble(wanted, user, state.window_rules)
+    ready = await _assemble(wanted, user, choice, state.window_rules)
+    choice = guard_choice(choice, ready.flags, wanted.version, resolve=state.decoders.resolve)
     coverage = settings.coverage if wanted.coverage is None else wanted.coverage
     window = EngineRequest(ready.window, wanted.version, coverage, choice)
     result = await _compute(state.engine, window)
@@ -219,17 +224,23 @@ async def forecast(
     return _respond(answer, total_ms=total_ms, as_msgpack=body.as_msgpack)
 
 
-def _assemble(wanted: ForecastIn, user: User, rules: WindowRules) -> WindowReady:
+async def _assemble(
+    wanted: ForecastIn, user: User, choice: Choice, rules: WindowRules
+) -> WindowReady:
+    """Make the window, beside the event loop where that takes long enough to hold up streams."""
     check_shapes(wanted.frames, wanted.t, wanted.confidence)
-    return assemble(
+    work = partial(
+        assemble,
         wanted.frames,
         wanted.t,
         wanted.confidence,
         skeleton=SKELETONS[user.skeleton],
         up=user.up,
         root_relative=user.root_relative,
+        bones=choice.bones,
         rules=rules,
     )
+    return await asyncio.to_thread(work) if len(wanted.frames) > FEW_FRAMES else work()
 
 
 async def _compute(engine: Engine, request: EngineRequest) -> EngineResult:

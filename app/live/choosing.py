@@ -6,12 +6,33 @@ from dataclasses import replace
 from app.domain.motion import RequestedVersion, VersionStamp
 from app.live.work import Choice
 
+Resolve = Callable[[RequestedVersion], VersionStamp]
+"""Tells what the base says to a request for a version; see `Decoders.resolve`."""
+
+
+def guard_choice(
+    choice: Choice, flags: Collection[str], requested: RequestedVersion, *, resolve: Resolve
+) -> Choice:
+    """Put the base in the place of a personal version where somebody else is seen.
+
+    A pinned version is never replaced.
+
+    Args:
+        choice: what the request means.
+        flags: of the window.
+        requested: the version asked for.
+        resolve: tells what the base says of itself.
+    """
+    if requested != "active" or choice.forecaster is None or "not_this_person" not in flags:
+        return choice
+    return Choice(replace(resolve("active"), fallback="guard"))
+
 
 class Chooser:
     """The weights of one stream.
 
     Args:
-        resolve: tells what the base says to a request for a version; see `Decoders.resolve`.
+        resolve: tells what the base says to a request for a version.
         active: what is active for the user, None for the base.
 
     Attributes:
@@ -19,9 +40,7 @@ class Chooser:
         unconfirmed: whether nobody can tell if they are still the right ones.
     """
 
-    def __init__(
-        self, resolve: Callable[[RequestedVersion], VersionStamp], active: Choice | None
-    ) -> None:
+    def __init__(self, resolve: Resolve, active: Choice | None) -> None:
         self.turn = 0
         self.unconfirmed = False
         self._resolve, self._active = resolve, active or Choice(resolve("active"))
@@ -42,10 +61,7 @@ class Chooser:
 
     def choose_for(self, flags: Collection[str], requested: RequestedVersion) -> Choice:
         """Tell what answers a window with these flags: the base, where somebody else is seen."""
-        choice = self.choose(requested)
-        if requested != "active" or choice.forecaster is None or "not_this_person" not in flags:
-            return choice
-        return Choice(replace(self._resolve("active"), fallback="guard"))
+        return guard_choice(self.choose(requested), flags, requested, resolve=self._resolve)
 
     def pin(self, choice: Choice) -> None:
         """Take a pinned version that was loaded, before it is asked for."""

@@ -257,6 +257,7 @@ def assemble(
     skeleton: Skeleton,
     up: str,
     root_relative: bool = False,
+    bones: tuple[float, ...] | None = None,
     rules: WindowRules | None = None,
     spec: MotionSpec | None = None,
 ) -> WindowReady:
@@ -269,6 +270,8 @@ def assemble(
         skeleton: the user's format.
         up: the user's up axis.
         root_relative: whether the user's sensor has no global position.
+        bones: of the person that the weights were made for, None if nobody knows; frames of a
+            second show whether it is somebody else.
         rules: what counts as a window.
         spec: shape of the task.
 
@@ -288,6 +291,7 @@ def assemble(
         if len(confidence) != len(frames):
             raise BadFrameError(f"{len(confidence)} confidences for {len(frames)} frames.")
         check_confidence(confidence, joints)
+    buffer.likeness.known = None if bones is None else np.array(bones)
     for i in range(len(frames)):  # all of them: an old frame may be where a joint was last seen
         buffer.push(float(t[i]), frames[i], None if confidence is None else confidence[i])
     outcome = buffer.look(whole=True)

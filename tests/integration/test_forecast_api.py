@@ -8,11 +8,15 @@ import numpy as np
 import pytest
 import pytest_asyncio
 
+from app.api import forecast
 from app.api.arrays import to_wire
+from app.domain.body import measure_bones
 from app.live.decoders import Decoders
+from app.live.window import assemble
 from models.baselines import DampedVelocity
 from models.skeleton import SKELETONS
 from tests.support import BASE_SHA256, Service, make_settings, run_service, watch_person
+from tests.versions import add_version, make_net, make_net_decoders, make_personal
 
 pytestmark = pytest.mark.asyncio
 PATH = "/v1/users/ada/forecast"
@@ -302,3 +306,38 @@ async def test_overload_is_answered_with_when_to_come_back(tmp_path):
         assert (await first)[0] == 200
     assert (refusal.status_code, refusal.json()["code"]) == (503, "overloaded")
     assert int(refusal.headers["retry-after"]) >= 1
+
+
+@pytest.mark.parametrize(("scale", "seconds"), [(1.0, 1.2), (1.4, 1.2), (1.4, 0.9)])
+async def test_the_base_answers_a_second_of_somebody_else(sqlite_settings, scale, seconds):
+    base = make_net()
+    mine = make_personal(base, 1, bones=measure_bones(watch_person(2.0)).tolist())
+    async with run_service(sqlite_settings, make_net_decoders(base)) as service:
+        await service.add_user()
+        version = await add_version(service.database, "ada", mine)
+        body = {"frames": (scale * watch_person(seconds)).tolist()}
+        _, active = await ask(service, **body)
+        _, pinned = await ask(service, **body, version=1)
+    is_strange = scale > 1 and seconds > 1
+    assert ("not_this_person" in active["quality"]) == is_strange
+    assert active["version"]["fallback"] == ("guard" if is_strange else None)
+    assert (active["version"]["sha256"] == version.sha256) == (not is_strange)
+    assert ("not_this_person" in pinned["quality"]) == is_strange
+    assert pinned["version"]["sha256"] == version.sha256  # flagged, never replaced
+
+
+async def test_many_frames_are_put_together_beside_the_event_loop(service, monkeypatch):
+    threads = []
+
+    def note(*arguments, **options):
+        threads.append(threading.current_thread())
+        return assemble(*arguments, **options)
+
+    monkeypatch.setattr(forecast, "assemble", note)
+    for seconds in (0.6, 20.0):
+        status, _ = await ask(service, frames=watch_person(seconds).tolist())
+        assert status == 200
+    assert threads[0] is threading.current_thread()
+    assert threads[1] is not threads[0]
+    answer = await service.call("POST", PATH, json={"frames": [[[0.0, 0.0, 0.0]]] * 90})
+    assert answer.json()["code"] == "wrong_joint_count"
