@@ -4,9 +4,9 @@ import io
 import json
 import tempfile
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 import structlog
@@ -21,6 +21,7 @@ from app.domain.access import Scope
 from app.domain.errors import WeightsDamagedError, WeightsPurgedError
 from app.domain.events import Action
 from app.domain.recordings import DamagedChunkError, unpack_frames
+from app.domain.trials import Trial
 from app.domain.users import User
 from app.domain.versions import Version
 from app.storage import audit, jobs, trials, users, versions, weights
@@ -54,7 +55,11 @@ async def export_user(caller: Admin, user: UserId, database: DatabaseNeeded) -> 
         found = await users.get(tx, user)
         audit.record(tx, Action.USER_EXPORTED, actor=caller.key_id, user_uuid=found.uuid)
     file = tempfile.SpooledTemporaryFile(max_size=IN_MEMORY)  # noqa: SIM115 - closed by `_read`
-    await _write(database, found, file)
+    try:
+        await _write(database, found, file)
+    except BaseException:
+        file.close()
+        raise
     headers = {"Content-Disposition": f'attachment; filename="{found.id}.zip"'}
     return StreamingResponse(_read(file), media_type=ZIP_TYPE, headers=headers)
 
@@ -92,40 +97,82 @@ class _Archive:
         self._missing.append(_Missing(name, reason))
 
     def close(self) -> None:
-        """Add the lists themselves."""
+        """Add the lists themselves, and what makes it a zip."""
         missing = [asdict(one) for one in self._missing]
         self.add_json("manifest.json", {"files": self._zip.namelist(), "missing": missing})
+        self._zip.close()
 
 
 async def _write(database: Database, user: User, file: IO[bytes]) -> None:
-    """Write the archive from one view of the database, one trial in memory at a time."""
+    """Write the archive, one trial in memory at a time, beside the event loop.
+
+    The tables are of one moment, as far as the database gives one (SQLite does; PostgreSQL gives
+    each of them as it is when it is read). Trials and weights are read after them, each for
+    itself, so that no transaction lasts as long as an archive takes. What is erased meanwhile is
+    listed as missing; what is recorded meanwhile may be there, or not.
+    """
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as zipped:
         archive = _Archive(zipped)
+        stored, made, tables = await _read_tables(database, user)
+        await run_in_threadpool(_add_tables, tables, archive)
+        for trial in stored:
+            async with database.read() as tx:
+                clips = await trials.read_clips(tx, trial.id)
+            await run_in_threadpool(_add_clips, trial, clips, archive)
+        for version in made:
+            await _add_weights(database, version, archive)
+        await run_in_threadpool(archive.close)
+
+
+async def _read_tables(
+    database: Database, user: User
+) -> tuple[list[Trial], list[Version], dict[str, object]]:
+    """Read everything but frames and weights; gives the trials and versions to read them of."""
+    async with database.read() as tx:
+        stored = await trials.list_all(tx, user)
+        made = await versions.list_all(tx, user.uuid)
+        lived = await users.read_lived(tx, user.uuid)
+        tables: dict[str, object] = {
+            "user": show_plainly(user),
+            "body": {"seen_live": None if lived is None else asdict(lived)},
+            "events": [asdict(event) for event in await audit.list_of_user(tx, user.uuid)],
+            "trials": [asdict(trial) for trial in stored],
+            "jobs": [asdict(job) for job in await jobs.list_of_user(tx, user.uuid)],
+            "versions": [asdict(version) for version in made],
+            "activations": [asdict(one) for one in await versions.list_history(tx, user.uuid)],
+        }
+    return stored, made, tables
+
+
+def _add_tables(tables: Mapping[str, object], archive: _Archive) -> None:
+    for name, content in tables.items():
+        archive.add_json(f"{name}.json", content)
+
+
+def _add_clips(trial: Trial, clips: Sequence[StoredClip], archive: _Archive) -> None:
+    """Add the clips of a trial; those that were listed and are gone were erased since."""
+    found = {clip.info.ordinal: clip for clip in clips}
+    for ordinal in sorted(found.keys() | {clip.ordinal for clip in trial.clips}):
+        path = f"trials/{trial.id}/clip-{ordinal:03}.npz"
+        if ordinal not in found:
+            archive.miss(path, "erased")
+            continue
+        try:
+            archive.add(path, _write_clip(found[ordinal]))
+        except DamagedChunkError as error:
+            log.warning("a stored clip is damaged", file=path, why=str(error))
+            archive.miss(path, "damaged")
+
+
+async def _add_weights(database: Database, version: Version, archive: _Archive) -> None:
+    path = f"versions/{version.number}.safetensors"
+    try:
         async with database.read() as tx:
-            stored = await trials.list_all(tx, user)
-            made = await versions.list_all(tx, user.uuid)
-            lived = await users.read_lived(tx, user.uuid)
-            tables: dict[str, Any] = {
-                "user": show_plainly(user),
-                "body": {"seen_live": None if lived is None else asdict(lived)},
-                "events": [asdict(event) for event in await audit.list_of_user(tx, user.uuid)],
-                "trials": [asdict(trial) for trial in stored],
-                "jobs": [asdict(job) for job in await jobs.list_of_user(tx, user.uuid)],
-                "versions": [asdict(version) for version in made],
-                "activations": [asdict(one) for one in await versions.list_history(tx, user.uuid)],
-            }
-            for name, content in tables.items():
-                archive.add_json(f"{name}.json", content)
-            for trial in stored:
-                for clip in await trials.read_clips(tx, trial.id):
-                    await _add_clip(clip, archive)
-            for version in made:
-                path = f"versions/{version.number}.safetensors"
-                try:
-                    archive.add(path, await weights.get(tx, _name_weights(version)))
-                except (WeightsPurgedError, WeightsDamagedError) as error:
-                    archive.miss(path, error.code)
-        archive.close()
+            blob = await weights.get(tx, _name_weights(version))
+    except (WeightsPurgedError, WeightsDamagedError) as error:
+        archive.miss(path, error.code)
+        return
+    await run_in_threadpool(archive.add, path, blob)
 
 
 def _name_weights(version: Version) -> str:
@@ -137,15 +184,6 @@ def _name_weights(version: Version) -> str:
     if version.purged:
         raise WeightsPurgedError
     return version.sha256
-
-
-async def _add_clip(clip: StoredClip, archive: _Archive) -> None:
-    path = f"trials/{clip.trial_id}/clip-{clip.info.ordinal:03}.npz"
-    try:
-        archive.add(path, await run_in_threadpool(_write_clip, clip))
-    except DamagedChunkError as error:
-        log.warning("a stored clip is damaged", file=path, why=str(error))
-        archive.miss(path, "damaged")
 
 
 def _write_clip(clip: StoredClip) -> bytes:

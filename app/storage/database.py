@@ -107,7 +107,9 @@ class Database:
 
     @asynccontextmanager
     async def read(self) -> AsyncIterator[AsyncSession]:
-        """Open a transaction for reading: one consistent view, never stored.
+        """Open a transaction for reading; nothing of it is ever stored.
+
+        In SQLite all of it sees one moment; in PostgreSQL each statement sees its own.
 
         Raises:
             NotReadyError: the database cannot be reached, or every connection is in use.
