@@ -27,8 +27,8 @@ from app.domain.jobs import JobState
 from app.personalize.record import request_finetuning
 from app.storage import audit, jobs
 from app.storage.announcements import Topic
+from app.storage.clock import read_clock
 from app.storage.database import Database
-from app.storage.leases import read_clock
 
 router = APIRouter(tags=["jobs"])
 ADMIN_ONLY = needs(Scope.ADMIN)

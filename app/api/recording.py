@@ -25,9 +25,9 @@ from app.live.steps import (
 from app.live.tape import to_raw
 from app.personalize.finish import examine, store_recording
 from app.storage import recordings, trials
+from app.storage.clock import read_clock
 from app.storage.database import Database
 from app.storage.recordings import Chunk, Recording, Tail
-from app.storage.tables import utc_now
 from models.skeleton import SKELETONS
 
 STEP_S = 30.0
@@ -72,13 +72,13 @@ class TrialArchive:
             case _:
                 change = recordings.cancel if isinstance(step, Cancel) else recordings.touch
                 async with self._database.write() as tx:
-                    await change(tx, self._held, now=utc_now())
+                    await change(tx, self._held, now=await read_clock(tx))
         return Done()
 
     async def _open(self, step: Begin | Resume) -> Opened:
         user_uuid, session, epoch = self._user.uuid, self._stream.session, self._stream.epoch
-        now = utc_now()
         async with self._database.write() as tx:
+            now = await read_clock(tx)
             if isinstance(step, Begin):
                 held = await recordings.start(
                     tx,
@@ -101,9 +101,10 @@ class TrialArchive:
     async def _append(self, portions: tuple[Portion, ...]) -> None:
         chunks = await asyncio.to_thread(self._pack, portions)
         async with self._database.write() as tx:
+            now = await read_clock(tx)
             for portion, chunk in zip(portions, chunks, strict=True):
                 await recordings.append(
-                    tx, self._held, chunk, stored_seq=portion.stored_seq, now=utc_now()
+                    tx, self._held, chunk, stored_seq=portion.stored_seq, now=now
                 )
 
     def _pack(self, portions: tuple[Portion, ...]) -> list[Chunk]:
@@ -134,7 +135,7 @@ class TrialArchive:
                 flaws,
                 finetune=finetune,
                 requested_by=self._stream.key_id,
-                now=utc_now(),
+                now=await read_clock(tx),
             )
         return None if job is None else JobNote(job.id, job.state)
 

@@ -12,9 +12,9 @@ from app.domain.errors import NotReadyError
 from app.domain.jobs import JobState
 from app.domain.streams import JobNews, OpenStream
 from app.live.rounds import Pause, Rounds
+from app.storage.clock import read_clock
 from app.storage.database import Database
 from app.storage.job_news import read_job_news
-from app.storage.tables import utc_now
 
 LOOK_BACK = timedelta(seconds=5)
 """Jobs that ended within this are told of, as they may have begun and ended between two looks."""
@@ -45,7 +45,8 @@ def read_from(database: Database) -> ReadNews:
 
     async def read(users: Collection[UUID], known: Collection[UUID]) -> Sequence[JobNews]:
         async with database.read() as tx:
-            return await read_job_news(tx, users, known=known, since=utc_now() - LOOK_BACK)
+            since = await read_clock(tx) - LOOK_BACK
+            return await read_job_news(tx, users, known=known, since=since)
 
     return read
 

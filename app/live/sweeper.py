@@ -9,9 +9,9 @@ import structlog
 
 from app.domain.errors import NotReadyError
 from app.live.rounds import Rounds
+from app.storage.clock import read_clock
 from app.storage.database import Database
 from app.storage.recordings import store_abandoned
-from app.storage.tables import utc_now
 
 SWEEP_S = 5.0
 LOOK_S = 10.0
@@ -60,7 +60,7 @@ class Sweeper(Rounds):
             self._reached_since = now if self._reached_since is None else self._reached_since
             return 0
         async with self._database.write() as tx:
-            moment = utc_now()
+            moment = await read_clock(tx)
             stored = await store_abandoned(tx, before=moment - self._abandoned, now=moment)
         if stored:
             log.info("recordings without a stream were stored", trials=len(stored))

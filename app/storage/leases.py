@@ -17,7 +17,7 @@ from sqlalchemy.orm import aliased
 from app.domain.jobs import MAX_ATTEMPTS, Claim, JobReason, JobState, retry_after
 from app.storage import trials
 from app.storage.announcements import Topic, announce
-from app.storage.tables import JobRow, TrialRow, UserRow, utc_now
+from app.storage.tables import JobRow, TrialRow, UserRow
 
 
 class Hold(StrEnum):
@@ -26,14 +26,6 @@ class Hold(StrEnum):
     HELD = "held"
     CANCELLED = "cancelled"
     LOST = "lost"
-
-
-async def read_clock(tx: AsyncSession) -> datetime:
-    """Give the time by which leases run: the database's, where several machines share it."""
-    if tx.get_bind().dialect.name == "sqlite":
-        return utc_now()
-    moment: datetime = (await tx.execute(select(func.clock_timestamp()))).scalar_one()
-    return moment
 
 
 async def claim(
@@ -52,7 +44,7 @@ async def claim(
         tx: a transaction for writing.
         owner: who asks, for people.
         lease: how long the job is theirs without a sign of life.
-        now: by `read_clock`.
+        now: by `app.storage.clock`.
         base_sha256: the base that they fit on; jobs that are for another one are not theirs.
 
     Returns:
@@ -105,7 +97,7 @@ async def renew(
         tx: a transaction for writing.
         held: the claim.
         lease: from now on.
-        now: by `read_clock`.
+        now: by `app.storage.clock`.
         progress: what to tell those who watch; None leaves it.
     """
     values: dict[str, Any] = {"lease_until": now + lease}

@@ -156,7 +156,7 @@ async def append(
         held: the recording.
         chunk: the frames.
         stored_seq: number of the newest of them.
-        now: the moment.
+        now: by `app.storage.clock`.
 
     Raises:
         FencedError: a newer stream has the session.
@@ -214,7 +214,7 @@ async def stop(
         held: the recording.
         finetune: whether a job was asked for.
         flaws: clips that are not to be trained on, by ordinal.
-        now: the moment.
+        now: by `app.storage.clock`.
 
     Returns:
         Whether this completed it; False where this stream had done so before.

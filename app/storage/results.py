@@ -58,7 +58,7 @@ async def finish(
         tx: a transaction for writing, of this alone.
         held: the claim of whoever worked on it.
         result: what came out.
-        now: by `leases.read_clock`.
+        now: by `app.storage.clock`.
         keep: newest versions whose weights are kept.
 
     Returns:

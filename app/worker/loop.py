@@ -20,6 +20,7 @@ from app.personalize.promote import prepare_task, store_outcome
 from app.personalize.run import Outcome, Task
 from app.storage import leases
 from app.storage.announcements import Topic
+from app.storage.clock import read_clock
 from app.storage.database import Database
 from app.storage.leases import Hold
 from app.storage.results import FencedJobError
@@ -95,7 +96,7 @@ class Worker:
     async def _claim(self) -> Claim | None:
         try:
             async with self._database.write() as tx:
-                now = await leases.read_clock(tx)
+                now = await read_clock(tx)
                 return await leases.claim(
                     tx,
                     owner=self._rules.owner,
@@ -182,7 +183,7 @@ class Worker:
                 async with self._database.read() as tx:
                     return await leases.look(tx, held)
             async with self._database.write() as tx:
-                now = await leases.read_clock(tx)
+                now = await read_clock(tx)
                 return await leases.renew(tx, held, lease=self._lease, now=now, progress=progress)
         except NotReadyError as error:
             log.warning("no sign of life", job=str(held.job_id), why=error.message)
@@ -212,7 +213,7 @@ class Worker:
 
     async def _store_once(self, held: Claim, outcome: Outcome, parent: int) -> JobReason:
         async with self._database.write() as tx:
-            now = await leases.read_clock(tx)
+            now = await read_clock(tx)
             return await store_outcome(
                 tx,
                 held,
@@ -225,13 +226,13 @@ class Worker:
 
     async def _fail(self, held: Claim, message: str) -> bool:
         async with self._database.write() as tx:
-            now = await leases.read_clock(tx)
+            now = await read_clock(tx)
             return await leases.fail(tx, held, message=message, now=now)
 
     async def _close_cancelled(self, held: Claim) -> None:
         async def close() -> bool:
             async with self._database.write() as tx:
-                return await leases.close_cancelled(tx, held, now=await leases.read_clock(tx))
+                return await leases.close_cancelled(tx, held, now=await read_clock(tx))
 
         await self._until_ready(close)
         log.info("job cancelled", job=str(held.job_id))
@@ -240,7 +241,7 @@ class Worker:
         """Let another worker go on at once; if the database does not answer, the lease runs out."""
         with suppress(NotReadyError):
             async with self._database.write() as tx:
-                await leases.give_back(tx, held, now=await leases.read_clock(tx))
+                await leases.give_back(tx, held, now=await read_clock(tx))
         log.info("job given back", job=str(held.job_id))
 
     async def _until_ready(self, step: Callable[[], Awaitable[Value]]) -> Value | None:

@@ -4,7 +4,7 @@ import asyncio
 import re
 import subprocess
 import sys
-from datetime import timedelta
+from datetime import datetime, timedelta
 from uuid import uuid4
 
 import numpy as np
@@ -12,6 +12,7 @@ import pytest
 from sqlalchemy import update
 
 from app.live.sweeper import GRACE_S, Sweeper
+from app.storage import tables
 from app.storage.tables import TrialRow, utc_now
 from tests.conftest import ROOT
 from tests.integration.test_live_recording import (
@@ -25,7 +26,7 @@ from tests.integration.test_live_recording import (
 )
 from tests.live_support import RealServer, StreamClient, serve
 from tests.outage import cuttable
-from tests.support import ADMIN_KEY, open_database
+from tests.support import ADMIN_KEY, make_settings, open_database, postgres_schema
 
 pytestmark = pytest.mark.asyncio
 
@@ -172,6 +173,35 @@ async def test_a_recording_whose_stream_does_not_come_back_is_stored(settings) -
     found, _ = await read_trial(settings, trial)
     assert (found.state, found.finetune, found.frames) == ("stored", False, 40)
     assert await list_jobs(settings) == []
+
+
+class Fast(datetime):
+    """The clock of a machine that is over a minute fast."""
+
+    @classmethod
+    def now(cls, tz=None):
+        return datetime.now(tz) + timedelta(seconds=61)
+
+
+async def test_a_replica_whose_clock_is_fast_takes_no_recording_for_abandoned(
+    postgres_url, tmp_path, monkeypatch
+) -> None:
+    now = 0.0
+    with postgres_schema(postgres_url) as url:
+        settings = make_settings(tmp_path, database_url=url)
+        with serve(settings) as server:
+            server.add_user()
+            async with server.stream() as client:
+                trial = (await begin(client))["trial"]
+                await show(client, range(40))
+                await client.expect("forecast")
+        async with open_database(settings) as database:
+            sweeper = Sweeper(database, abandoned_s=60.0, clock=lambda: now)
+            await sweeper.sweep()
+            now = GRACE_S
+            monkeypatch.setattr(tables, "datetime", Fast)
+            assert await sweeper.sweep() == 0
+        assert (await read_trial(settings, trial))[0].state == "recording"
 
 
 async def test_after_an_outage_streams_get_time_to_say_that_they_are_there(settings) -> None:
