@@ -12,7 +12,7 @@ from models.familiarity import Familiarity
 from models.predictor import Encoded, Predictor
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, weakref_slot=True)
 class PersonalDecoder:
     """One person's decoder behind the shared encoder; called like every forecaster.
 

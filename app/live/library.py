@@ -6,9 +6,9 @@ chose, so that nothing which is still in use can be dropped.
 
 import asyncio
 import time
-from collections import OrderedDict
-from collections.abc import AsyncIterator, Collection, Iterable
+from collections.abc import AsyncIterator, Collection
 from contextlib import asynccontextmanager
+from dataclasses import dataclass
 from functools import partial
 from uuid import UUID
 from weakref import WeakValueDictionary
@@ -25,20 +25,36 @@ from app.domain.errors import (
 from app.domain.motion import RequestedVersion, VersionStamp
 from app.domain.versions import ActiveVersion
 from app.live.decoders import Decoders, UnusableWeightsError, read_bones
+from app.live.shelf import Shelf
 from app.live.work import Choice
 from app.storage import versions, weights
 from app.storage.database import Database
 from models.baselines import Forecaster
 
-KEPT = 64
-"""Decoders that stay loaded while nobody uses them."""
 READ_S = 5.0
 """Longest wait for what one look into the database has to tell."""
 RETRY_S = 10.0
-"""How long weights that could not be used are not tried again."""
+"""How long weights that could not be used, and what stands behind them, are not tried again."""
 _UNUSABLE = (UnusableWeightsError, WeightsPurgedError, WeightsDamagedError)
 
 log = structlog.get_logger(__name__)
+
+
+@dataclass(slots=True)
+class _Followed:
+    """What somebody with an open stream has.
+
+    Attributes:
+        active: their version.
+        reason: why it is active.
+        choice: what answers, held for as long as their streams are open.
+        tried_at: when a way around weights that fail was looked for, monotonic seconds.
+    """
+
+    active: ActiveVersion
+    reason: str
+    choice: Choice
+    tried_at: float | None = None
 
 
 class Library:
@@ -51,14 +67,14 @@ class Library:
 
     def __init__(self, database: Database, decoders: Decoders) -> None:
         self.database, self._decoders = database, decoders
-        self._loaded: OrderedDict[str, Forecaster] = OrderedDict()
+        self._shelf = Shelf()
         self._failed_at: dict[str, float] = {}
         self._loading: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
-        self._seen: dict[UUID, tuple[ActiveVersion, Choice]] = {}
+        self._seen: dict[UUID, _Followed] = {}
 
     def loaded(self) -> frozenset[str]:
         """Give the digests of the decoders that are held in memory."""
-        return frozenset(self._loaded)
+        return self._shelf.list_digests()
 
     async def choose(self, user_uuid: UUID, requested: RequestedVersion) -> Choice:
         """Give what a request means now, ready to forecast.
@@ -81,32 +97,54 @@ class Library:
         Raises:
             NotReadyError: the database cannot be reached.
         """
-        if not user_uuids and not self._loaded:
+        loaded = self.loaded()
+        if not user_uuids and not loaded:
             self._seen.clear()
             return {}
         async with _in_time(), self.database.read() as tx:
             found = await versions.read_active(tx, user_uuids)
-            stored = await weights.list_stored(tx, tuple(self._loaded))
-        for sha256 in self._loaded.keys() - stored:  # purged, or erased with its user
-            self._loaded.pop(sha256, None)
+            stored = await weights.list_stored(tx, loaded)
+        for sha256 in loaded - stored:  # purged, or erased with its user
+            self._shelf.drop(sha256)
         active = {user: found.get(user, ActiveVersion()) for user in user_uuids}
-        for user in self._seen.keys() - active.keys():
-            del self._seen[user]
-        for user in self._list_changed(active.items()):
-            reason = await self._explain(user)
-            self._seen[user] = (active[user], await self._make(user, active[user], reason))
-        return {user: self._seen[user][1] for user in active}
+        for user in [user for user in self._seen if user not in active]:
+            self._leave(user)
+        for user, version in active.items():
+            await self._follow_one(user, version)
+        self._tidy()
+        return {user: self._seen[user].choice for user in active}
 
-    def _list_changed(self, active: Iterable[tuple[UUID, ActiveVersion]]) -> list[UUID]:
-        """List whose choice has to be made anew: another version, or one that fails."""
-        changed = []
-        for user, version in active:
-            seen = self._seen.get(user)
-            if seen is None or seen[0] != version or self._needs_help(seen[1]):
-                changed.append(user)
-        return changed
+    async def _follow_one(self, user_uuid: UUID, active: ActiveVersion) -> None:
+        """Make somebody's choice anew where they have another version, or one that fails."""
+        seen = self._seen.get(user_uuid)
+        if seen is None or seen.active != active:
+            reason = await self._explain(user_uuid)
+            choice = await self._make(user_uuid, active, reason)
+            seen = self._seen[user_uuid] = _Followed(active, reason, choice)
+        elif self._needs_help(seen):
+            seen.choice = await self._make(user_uuid, active, seen.reason)
+        else:
+            return
+        if self._is_in_need(seen.choice):
+            seen.tried_at = time.monotonic()
 
-    def _needs_help(self, choice: Choice) -> bool:
+    def _leave(self, user_uuid: UUID) -> None:
+        """Forget somebody without streams; what they had is what was in use last."""
+        for sha256 in _list_used(self._seen.pop(user_uuid).choice):
+            self._shelf.find(sha256)
+
+    def _tidy(self) -> None:
+        self._shelf.tidy(
+            {sha256 for seen in self._seen.values() for sha256 in _list_used(seen.choice)}
+        )
+
+    def _needs_help(self, seen: _Followed) -> bool:
+        """Tell whether a way around weights that fail is to be looked for (again)."""
+        if not self._is_in_need(seen.choice):
+            return False
+        return seen.tried_at is None or time.monotonic() - seen.tried_at >= RETRY_S
+
+    def _is_in_need(self, choice: Choice) -> bool:
         """Tell whether weights could not be used, or fail and have nothing at hand behind them."""
         if choice.stamp.fallback is not None:
             return True
@@ -173,9 +211,9 @@ class Library:
         """
         lock = self._loading.setdefault(sha256, asyncio.Lock())
         async with lock:  # of these weights: nobody waits for somebody else's
-            if sha256 in self._loaded:
-                self._loaded.move_to_end(sha256)
-                return self._loaded[sha256]
+            known = self._shelf.find(sha256)
+            if known is not None:
+                return known
             self._refuse_what_failed(sha256)
             try:
                 forecaster = await self._fetch(sha256, base_sha256)
@@ -184,9 +222,8 @@ class Library:
                 log.warning("weights cannot be used", sha256=sha256, why=str(error))
                 raise
             self._failed_at.pop(sha256, None)
-            self._loaded[sha256] = forecaster
-            while len(self._loaded) > KEPT:
-                self._loaded.popitem(last=False)
+            self._shelf.put(sha256, forecaster)
+            self._tidy()
             return forecaster
 
     async def _fetch(self, sha256: str, base_sha256: str | None) -> Forecaster:
@@ -201,6 +238,12 @@ class Library:
         failed_at = self._failed_at.get(sha256)
         if failed_at is not None and time.monotonic() - failed_at < RETRY_S:
             raise UnusableWeightsError("they failed a moment ago")
+
+
+def _list_used(choice: Choice) -> list[str]:
+    """List the digests of what a choice holds."""
+    every = (choice, choice.previous)
+    return [one.stamp.sha256 for one in every if one is not None and one.stamp.sha256 is not None]
 
 
 @asynccontextmanager

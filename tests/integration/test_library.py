@@ -12,7 +12,7 @@ import pytest
 from sqlalchemy.ext.asyncio import AsyncSession
 
 from app.domain.errors import NotReadyError, UnknownVersionError, VersionUnavailableError
-from app.live import housekeeper
+from app.live import housekeeper, shelf
 from app.live import library as library_module
 from app.live.breaker import TRIP_AFTER
 from app.live.decoders import Decoders
@@ -131,6 +131,46 @@ async def test_who_is_erased_while_their_weights_fail_has_the_base(database, mon
     monkeypatch.setattr(versions, "read_previous", find_nothing)
     library = Library(database, Decoders(BASE, base_sha256="f" * 64))
     assert (await library.choose(ada, "active")).stamp.fallback == "weights_missing"
+
+
+async def test_what_streams_use_stays_however_much_that_is(database, monkeypatch) -> None:
+    monkeypatch.setattr(shelf, "KEPT", 1)
+    people = await start(database, "ada", "bob", "eve")
+    for seed, name in enumerate(("ada", "bob", "eve")):
+        await add_version(database, name, make_personal(BASE, seed))
+    library = Library(database, decoders := SlowDecoders())
+    for _ in range(2):
+        assert len(await library.follow(people)) == 3
+        for user in people:
+            await library.choose(user, "active")
+    assert len(decoders.built) == len(library.loaded()) == 3
+    pinned = await library.choose(people[0], 1)
+    await library.follow([])
+    assert len(library.loaded()) == 2  # one that is held elsewhere, and one that is idle
+    await library.choose(people[2], "active")
+    assert (await library.choose(people[0], 1)).forecaster is pinned.forecaster
+    assert len(decoders.built) <= 4
+
+
+async def test_weights_that_fail_are_not_looked_into_every_second(database, monkeypatch) -> None:
+    reads = []
+
+    async def count(tx, user_uuid):
+        reads.append(user_uuid)
+        return await list_history(tx, user_uuid)
+
+    list_history = versions.list_history
+    (ada,) = await start(database, "ada")
+    await add_version(database, "ada", MINE)
+    monkeypatch.setattr(versions, "list_history", count)
+    library = Library(database, Decoders(BASE, base_sha256="f" * 64))
+    for _ in range(4):
+        (choice,) = (await library.follow([ada])).values()
+        assert choice.stamp.fallback == "weights_missing"
+    assert len(reads) == 2  # why it is active, and what was before
+    monkeypatch.setattr(library_module, "RETRY_S", 0.0)
+    await library.follow([ada])
+    assert len(reads) == 3  # it is active for the reason for which it was
 
 
 class HungDatabase(Database):
