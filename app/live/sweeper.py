@@ -11,7 +11,7 @@ from app.domain.errors import NotReadyError
 from app.live.rounds import Rounds
 from app.storage.clock import read_clock
 from app.storage.database import Database
-from app.storage.recordings import store_abandoned
+from app.storage.recordings import has_abandoned, store_abandoned
 
 SWEEP_S = 5.0
 LOOK_S = 10.0
@@ -59,8 +59,11 @@ class Sweeper(Rounds):
             await self._database.ping()
             self._reached_since = now if self._reached_since is None else self._reached_since
             return 0
-        async with self._database.write() as tx:
+        async with self._database.read() as tx:
             moment = await read_clock(tx)
+            if not await has_abandoned(tx, before=moment - self._abandoned):
+                return 0  # as nearly always: no reason to hold up who writes
+        async with self._database.write() as tx:
             stored = await store_abandoned(tx, before=moment - self._abandoned, now=moment)
         if stored:
             log.info("recordings without a stream were stored", trials=len(stored))

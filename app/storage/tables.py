@@ -205,7 +205,15 @@ class TrialRow(Base):
     """What a person was recorded doing. A recording belongs to the newest epoch of its session."""
 
     __tablename__ = "trials"
-    __table_args__ = (Index(None, "user_uuid", "created_at", "id"),)
+    __table_args__ = (
+        Index(None, "user_uuid", "created_at", "id"),
+        Index(
+            "ix_trials_recording",
+            "touched_at",
+            sqlite_where=text("state = 'recording'"),
+            postgresql_where=text("state = 'recording'"),
+        ),
+    )
 
     id: Mapped[UUID] = mapped_column(primary_key=True, default=uuid4)
     user_uuid: Mapped[UUID] = _owner()
@@ -275,6 +283,7 @@ class JobRow(Base):
         ),
         Index(None, "created_at", "id"),
         Index(None, "user_uuid", "created_at", "id"),
+        Index(None, "user_uuid", "finished_at"),
         Index(None, "state", "lease_until"),
     )
 
