@@ -32,7 +32,7 @@ from app.live.decoders import Decoders
 from app.live.engine import Engine
 from app.live.frames import WindowRules
 from app.live.housekeeper import Housekeeper
-from app.live.job_watch import JobWatch, read_from
+from app.live.job_watch import JobWatch, listen_to, read_from
 from app.live.library import Library
 from app.live.registry import Registry
 from app.live.sweeper import Sweeper
@@ -139,7 +139,7 @@ def _make_job_watch(registry: Registry, database: Database, settings: Settings) 
     return JobWatch(
         read_from(database),
         registry.list_connections,
-        listen=lambda: database.announcements.listen(Topic.JOBS, Topic.PROGRESS).wait,
+        listen=listen_to(database.announcements),
         every_s=settings.watch_s,
     )
 

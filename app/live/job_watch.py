@@ -12,6 +12,7 @@ from app.domain.errors import NotReadyError
 from app.domain.jobs import JobState
 from app.domain.streams import JobNews, OpenStream
 from app.live.rounds import Pause, Rounds
+from app.storage.announcements import Announcements, Topic
 from app.storage.clock import read_clock
 from app.storage.database import Database
 from app.storage.job_news import read_job_news
@@ -49,6 +50,28 @@ def read_from(database: Database) -> ReadNews:
             return await read_job_news(tx, users, known=known, since=since)
 
     return read
+
+
+def listen_to(announcements: Announcements) -> Callable[[], Pause]:
+    """Wait for hints: for one that jobs began or ended at any time, for mere progress seldom.
+
+    Each training process tells of itself several times a second. Nobody is told that often, so
+    that nobody needs to look either.
+    """
+
+    def listen() -> Pause:
+        turns = announcements.listen(Topic.JOBS)
+        every = announcements.listen(Topic.JOBS, Topic.PROGRESS)
+
+        async def wait(seconds: float) -> None:
+            began = time.monotonic()
+            await turns.wait(min(seconds, PROGRESS_S))
+            if seconds > PROGRESS_S <= time.monotonic() - began:  # nothing but progress so far
+                await every.wait(seconds - PROGRESS_S)
+
+        return wait
+
+    return listen
 
 
 class JobWatch(Rounds):

@@ -1,5 +1,7 @@
 """What is asked again and again reads what it asks for, not all that there ever was."""
 
+import asyncio
+import time
 from contextlib import contextmanager
 from datetime import timedelta
 from uuid import uuid4
@@ -7,7 +9,9 @@ from uuid import uuid4
 import pytest
 from sqlalchemy import event, text, update
 
+from app.live.job_watch import PROGRESS_S, listen_to
 from app.live.sweeper import GRACE_S, Sweeper
+from app.storage.announcements import Announcements, Topic
 from app.storage.job_news import read_job_news
 from app.storage.recordings import has_abandoned, store_abandoned
 from app.storage.tables import TrialRow
@@ -100,3 +104,31 @@ async def test_news_are_of_open_jobs_known_ones_and_those_that_just_ended(databa
     assert news[0].metrics == {"before": [1.0], "after": [0.5]}
     assert [one.id for one in more] == [*ended, waiting]
     assert old not in {one.id for one in more}
+
+
+@pytest.mark.parametrize(
+    ("topic", "least", "most"),
+    [(Topic.PROGRESS, 0.9 * PROGRESS_S, 5.0), (Topic.JOBS, 0.0, 0.5 * PROGRESS_S)],
+)
+async def test_progress_is_looked_at_once_a_second_and_the_end_at_once(topic, least, most):
+    announcements = Announcements()
+    wait = listen_to(announcements)()
+
+    async def train():
+        while True:
+            announcements.tell([topic])
+            await asyncio.sleep(0.05)
+
+    training = asyncio.create_task(train())
+    began = time.monotonic()
+    await wait(10.0)
+    assert least <= time.monotonic() - began < most
+    training.cancel()
+
+
+async def test_without_hints_a_watch_waits_as_long_as_it_would():
+    wait = listen_to(Announcements())()
+    for seconds in (0.1, PROGRESS_S + 0.1):
+        began = time.monotonic()
+        await wait(seconds)
+        assert time.monotonic() - began >= 0.99 * seconds
