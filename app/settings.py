@@ -21,6 +21,8 @@ SECRETS_VARIABLE = "KINECAST_SECRETS_DIR"
 CLIENT_KEY_VARIABLE = "KINECAST_KEY"
 """Variable of the commands that call a service (`demo`, `bench`): their API key."""
 DEFAULT_SECRETS_DIR = Path("/run/secrets")
+HISTORY_MIN_DAYS = 1.0
+"""So that whatever is in use is marked as used several times before it could be forgotten."""
 
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=1)]
@@ -172,7 +174,7 @@ class Settings(BaseSettings):
         description="Newest versions of a user whose weights are kept; "
         "the active one and its parent always are.",
     )
-    history_kept_days: Positive = Field(
+    history_kept_days: Annotated[float, Field(ge=HISTORY_MIN_DAYS)] = Field(
         90.0,
         description="How long jobs that made no version, and session names that nobody uses, "
         "are remembered.",

@@ -10,12 +10,16 @@ from sqlalchemy.ext.asyncio import AsyncSession
 
 from app.domain.jobs import JobState
 from app.domain.streams import OpenStream
+from app.settings import HISTORY_MIN_DAYS
 from app.storage.tables import IdempotencyRow, JobRow, SessionRow
 
 BATCH = 500
 """Most rows of a table that go at a time, so that nobody waits for long."""
-SEEN_EVERY = timedelta(days=1)
-"""How often the name of a stream that is open all the time is marked as used."""
+SEEN_EVERY = timedelta(days=HISTORY_MIN_DAYS) / 4
+"""How often the name of a stream that is open all the time is marked as used.
+
+Well within any time that names are kept for: another replica may forget between two marks.
+"""
 _FINAL = tuple(state for state in JobState if state.is_final)
 
 

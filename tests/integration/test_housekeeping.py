@@ -11,6 +11,7 @@ from app.domain.jobs import JobReason, JobState
 from app.domain.streams import OpenStream, Verdict
 from app.domain.versions import Verdict as Judgement
 from app.live.housekeeper import Housekeeper
+from app.settings import HISTORY_MIN_DAYS
 from app.storage import housekeeping, idempotency, jobs, leases, sessions, versions
 from app.storage.housekeeping import Forgotten, forget, mark_used
 from app.storage.idempotency import Answer, Request
@@ -105,6 +106,18 @@ async def test_names_of_sessions_go_unless_a_stream_has_them(database):
         await mark_used(tx, [used], now=START + timedelta(days=2))
     assert await tidy(database) == Forgotten(sessions=1)
     assert await sessions.watch(database, [used, unused]) == {unused: Verdict.FENCED}
+
+
+async def test_no_other_replica_forgets_the_name_of_an_open_stream(database):
+    (stream,) = await open_streams(database, "robot")
+    kept = timedelta(days=HISTORY_MIN_DAYS)
+    for hours in range(0, 60, 5):
+        now = START + timedelta(hours=hours)
+        async with database.write() as tx:
+            await forget(tx, now=now, kept=kept)
+        async with database.write() as tx:
+            await mark_used(tx, [stream], now=now)
+    assert await sessions.watch(database, [stream]) == {}
 
 
 async def test_a_batch_goes_at_a_time(database):

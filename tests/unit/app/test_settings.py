@@ -57,6 +57,13 @@ def test_missing_folder_of_secrets_is_an_error(tmp_path):
         load_settings({"KINECAST_SECRETS_DIR": str(tmp_path / "none")})
 
 
+def test_history_is_kept_for_a_day_at_least(monkeypatch):
+    monkeypatch.setenv("KINECAST_HISTORY_KEPT_DAYS", "0.5")
+    with pytest.raises(BadSettingsError, match=r"KINECAST_HISTORY_KEPT_DAYS.*equal to 1"):
+        load_settings()
+    assert load_settings(history_kept_days=1).history_kept_days == 1
+
+
 def test_settings_cannot_be_changed():
     settings = load_settings({})
     with pytest.raises(ValidationError):
