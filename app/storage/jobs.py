@@ -102,6 +102,8 @@ async def enqueue_explicit(
 async def enqueue_refits(tx: AsyncSession, base_sha256: str, *, limit: int) -> int:
     """Ask for a job for those whose active version runs on another base; once for each base.
 
+    It waits for users whom somebody else decides about just now: nobody asks for them again.
+
     Args:
         tx: a transaction for writing.
         base_sha256: the base that everybody is to be fitted on from now on.
@@ -122,9 +124,9 @@ async def enqueue_refits(tx: AsyncSession, base_sha256: str, *, limit: int) -> i
     chosen = (
         select(UserRow)
         .where(~done, other, recorded)
-        .order_by(UserRow.created_at)
+        .order_by(UserRow.created_at, UserRow.uuid)  # as whoever else locks many of them
         .limit(limit)
-        .with_for_update(skip_locked=True, key_share=True)
+        .with_for_update(key_share=True)
     )
     users = list(await tx.scalars(chosen))
     for user in users:

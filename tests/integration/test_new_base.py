@@ -93,6 +93,15 @@ async def test_large_crowds_are_asked_for_in_batches(database, ada):
     assert setup.REFITS_AT_A_TIME > 1
 
 
+async def test_nobody_is_forgotten_whom_somebody_else_decides_about_just_now(database, ada):
+    async with database.write() as tx:
+        await versions.lock_user(tx, ada.uuid)
+        asking = asyncio.create_task(ask_for_refits(database, NEW.sha256))
+        await asyncio.sleep(0.3)
+    assert await asyncio.wait_for(asking, 10) == 1
+    assert len(await list_waiting(database)) == 1
+
+
 async def test_replicas_that_start_together_ask_once(database, ada):
     asked = await asyncio.gather(*(ask_for_refits(database, NEW.sha256) for _ in range(4)))
     assert sum(asked) == 1
