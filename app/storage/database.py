@@ -88,7 +88,7 @@ class Database:
         if self.is_sqlite:
             self._make_folder()
         else:
-            options |= {"pool_pre_ping": True, "connect_args": _postgres_options(timeout_s)}
+            options |= {"pool_pre_ping": True, "connect_args": _postgres_options(url, timeout_s)}
         self._engine = create_async_engine(url, **options)
         if self.is_sqlite:
             _control_transactions(self._engine, timeout_s=timeout_s)
@@ -198,8 +198,22 @@ def _is_hopeless(error: DBAPIError) -> bool:
     return is_ours and getattr(error.orig, "sqlstate", None) not in _MENDABLE
 
 
-def _postgres_options(timeout_s: float) -> dict[str, Any]:
-    return {"connect_timeout": max(1, round(timeout_s)), "application_name": "kinecast"}
+def _postgres_options(url: URL, timeout_s: float) -> dict[str, Any]:
+    """Name the connections, and notice within seconds that the other end is gone without a word.
+
+    Left alone, the system waits for minutes for an answer, and for hours where none is due. What
+    the address says itself counts.
+    """
+    options = {
+        "connect_timeout": max(1, round(timeout_s)),
+        "application_name": "kinecast",
+        "keepalives": 1,
+        "keepalives_idle": 5,
+        "keepalives_interval": 2,
+        "keepalives_count": 3,
+        "tcp_user_timeout": 10_000,  # milliseconds
+    }
+    return {name: value for name, value in options.items() if name not in url.query}
 
 
 def _control_transactions(engine: AsyncEngine, *, timeout_s: float) -> None:
