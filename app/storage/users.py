@@ -1,5 +1,6 @@
 """Users: the row that everything else of a person hangs on."""
 
+import math
 import re
 from collections.abc import Mapping
 from typing import Any
@@ -132,14 +133,29 @@ async def erase(tx: AsyncSession, user_id: str, *, actor: UUID | None, audit_key
 
 async def note_lived(tx: AsyncSession, user_uuid: UUID, newer: Lived) -> None:
     """Blend what was seen on a stream into what is known; of an erased user nothing is kept."""
-    row = await tx.scalar(
-        select(UserRow).where(UserRow.uuid == user_uuid).with_for_update(key_share=True)
+    await note_all_lived(tx, {user_uuid: newer})
+
+
+async def note_all_lived(tx: AsyncSession, newer: Mapping[UUID, Lived]) -> None:
+    """Blend what was seen of several users into what is known of each; as `note_lived`.
+
+    What is not finite is no body, and neither can it be stored.
+    """
+    seen = {
+        user: lived
+        for user, lived in newer.items()
+        if all(map(math.isfinite, (*lived.bones, lived.seconds)))
+    }
+    rows = await tx.scalars(
+        select(UserRow)
+        .where(UserRow.uuid.in_(seen))
+        .order_by(UserRow.created_at, UserRow.uuid)  # as whoever else locks many of them
+        .with_for_update(key_share=True)
     )
-    if row is None:
-        return
-    known = _to_lived(row)
-    joined = newer if known is None else known.join(newer)
-    row.lived_bones, row.lived_s = list(joined.bones), joined.seconds
+    for row in rows:
+        known = _to_lived(row)
+        joined = seen[row.uuid] if known is None else known.join(seen[row.uuid])
+        row.lived_bones, row.lived_s = list(joined.bones), joined.seconds
 
 
 async def read_lived(tx: AsyncSession, user_uuid: UUID) -> Lived | None:

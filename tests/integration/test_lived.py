@@ -10,6 +10,7 @@ import pytest
 
 from app.domain.body import measure_bones
 from app.domain.users import Lived
+from app.live import witness as witnesses
 from app.live.library import Library
 from app.live.witness import Witness
 from app.storage import users
@@ -114,6 +115,35 @@ async def test_open_streams_are_asked_again_and_again(sqlite_database):
             break
     await witness.stop()
     assert lived.seconds > 5
+
+
+@pytest.mark.asyncio
+async def test_what_many_streams_saw_is_stored_at_once(database, monkeypatch):
+    async with database.write() as tx:
+        people = [await add_user(tx, f"user-{i}") for i in range(witnesses.BATCH + 2)]
+    watchers = [Watcher(Stream(user.uuid)) for user in [*people, people[0]]]
+    opened, write = [], database.write
+
+    def count():
+        opened.append(write())
+        return opened[-1]
+
+    monkeypatch.setattr(database, "write", count)
+    await Witness(database, lambda: watchers).ask()
+    assert len(opened) == 2
+    assert [watcher.taken for watcher in watchers] == [1] * len(watchers)
+    seconds = [(await read(database, user.uuid)).seconds for user in people]
+    assert seconds == [10.0] + [5.0] * (len(people) - 1)
+
+
+@pytest.mark.asyncio
+async def test_a_body_that_is_not_finite_is_nobodys(database):
+    async with database.write() as tx:
+        ada, bob = await add_user(tx), await add_user(tx, "bob")
+        seen = {ada.uuid: Lived((*BONES[:7], float("nan")), 5.0), bob.uuid: Lived(BONES, 5.0)}
+        await users.note_all_lived(tx, seen)
+    assert await read(database, ada.uuid) is None
+    assert (await read(database, bob.uuid)).seconds == 5
 
 
 @pytest.mark.asyncio
