@@ -7,7 +7,7 @@ parser: `app.api.upload_child` runs it in a process of its own.
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from pydantic import ConfigDict, Field, ValidationError
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from app.api.bodies import (
     JSON_TYPE,
@@ -36,6 +36,7 @@ from app.storage.trials import NewClip
 FORM_TYPE = "multipart/form-data"
 FORMATS = (JSON_TYPE, MSGPACK_TYPE, FORM_TYPE)
 _FLAGS = {"true": True, "false": False}
+_NAME: TypeAdapter[str | None] = TypeAdapter(Name | None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,8 +144,17 @@ def _parse_files(parts: list[Part], rules: UploadRules) -> Upload:
     finetune = fields.get("finetune", b"true").decode("utf-8", errors="replace").lower()
     if finetune not in _FLAGS:
         raise InvalidError("finetune must be true or false.")
-    label = fields.get("label", b"").decode("utf-8", errors="replace")[:200] or None
+    label = fields.get("label", b"").decode("utf-8", errors="replace") or None
+    _check_name(label, "label")
     return Upload(label, _FLAGS[finetune], clips)
+
+
+def _check_name(name: str | None, where: str) -> None:
+    """Hold what forms and files call things to the rule of JSON."""
+    try:
+        _NAME.validate_python(name)
+    except ValidationError:
+        raise InvalidError(f"{where} must be 1 to 200 characters, no control character.") from None
 
 
 def _read_part(part: Part, first: int, rules: UploadRules) -> list[NewClip]:
@@ -155,6 +165,7 @@ def _read_part(part: Part, first: int, rules: UploadRules) -> list[NewClip]:
     for i, clip in enumerate(found):
         _check_frames(len(clip.joints), rules.frames_per_clip)
         try:
+            _check_name(clip.action, "The action")
             frames = make_frames(clip.joints, clip.t, None, rules.sensor)
         except InvalidError as error:
             raise BadRecordingError(f"{name}, clip {i}: {error.message}") from None

@@ -89,6 +89,8 @@ async def store_outcome(
         trained_on=tuple(UUID(trial) for trial in outcome.trained_on),
     )
     reason = await results.finish(tx, held, result, now=now, keep=keep)
+    if reason is JobReason.CANCELLED:
+        return reason
     # whose body a trial shows is a matter of majority, and that may have turned
     await trials.clear_flaw(tx, held.trials, flaw=ClipFlaw.NOT_THIS_PERSON)
     for found in outcome.flaws:

@@ -4,7 +4,7 @@ import asyncio
 import re
 import subprocess
 import sys
-from datetime import datetime, timedelta
+from datetime import timedelta
 from uuid import uuid4
 
 import numpy as np
@@ -12,7 +12,6 @@ import pytest
 from sqlalchemy import update
 
 from app.live.sweeper import GRACE_S, Sweeper
-from app.storage import tables
 from app.storage.tables import TrialRow, utc_now
 from tests.conftest import ROOT
 from tests.integration.test_live_recording import (
@@ -26,7 +25,7 @@ from tests.integration.test_live_recording import (
 )
 from tests.live_support import RealServer, StreamClient, serve
 from tests.outage import cuttable
-from tests.support import ADMIN_KEY, make_settings, open_database, postgres_schema
+from tests.support import ADMIN_KEY, open_database
 
 pytestmark = pytest.mark.asyncio
 
@@ -153,21 +152,31 @@ async def test_a_replica_killed_in_mid_trial_costs_no_frame(settings, doomed) ->
     assert np.concatenate([clip.t for clip in clips]).tolist() == [i / 30 for i in range(80)]
 
 
-async def test_a_recording_whose_stream_does_not_come_back_is_stored(settings) -> None:
+async def leave_recording(settings) -> str:
+    """Have a stream vanish in the middle of a trial, a minute ago."""
     with serve(settings) as server:
         server.add_user()
         async with server.stream() as client:
             trial = (await begin(client))["trial"]
             await show(client, range(40))
             await client.expect("forecast")
+    return trial
+
+
+async def let_a_minute_pass(database) -> None:
+    async with database.write() as tx:
+        await tx.execute(update(TrialRow).values(touched_at=utc_now() - timedelta(seconds=61)))
+
+
+async def test_a_recording_whose_stream_does_not_come_back_is_stored(settings) -> None:
+    trial = await leave_recording(settings)
     now = 0.0
     async with open_database(settings) as database:
         sweeper = Sweeper(database, abandoned_s=60.0, clock=lambda: now)
         assert await sweeper.sweep() == 0
         now = GRACE_S
         assert await sweeper.sweep() == 0
-        async with database.write() as tx:
-            await tx.execute(update(TrialRow).values(touched_at=utc_now() - timedelta(seconds=61)))
+        await let_a_minute_pass(database)
         assert await sweeper.sweep() == 1
         assert await sweeper.sweep() == 0
     found, _ = await read_trial(settings, trial)
@@ -175,39 +184,11 @@ async def test_a_recording_whose_stream_does_not_come_back_is_stored(settings) -
     assert await list_jobs(settings) == []
 
 
-class Fast(datetime):
-    """The clock of a machine that is over a minute fast."""
-
-    @classmethod
-    def now(cls, tz=None):
-        return datetime.now(tz) + timedelta(seconds=61)
-
-
-async def test_a_replica_whose_clock_is_fast_takes_no_recording_for_abandoned(
-    postgres_url, tmp_path, monkeypatch
-) -> None:
-    now = 0.0
-    with postgres_schema(postgres_url) as url:
-        settings = make_settings(tmp_path, database_url=url)
-        with serve(settings) as server:
-            server.add_user()
-            async with server.stream() as client:
-                trial = (await begin(client))["trial"]
-                await show(client, range(40))
-                await client.expect("forecast")
-        async with open_database(settings) as database:
-            sweeper = Sweeper(database, abandoned_s=60.0, clock=lambda: now)
-            await sweeper.sweep()
-            now = GRACE_S
-            monkeypatch.setattr(tables, "datetime", Fast)
-            assert await sweeper.sweep() == 0
-        assert (await read_trial(settings, trial))[0].state == "recording"
-
-
 async def test_after_an_outage_streams_get_time_to_say_that_they_are_there(settings) -> None:
     now = 0.0
-    async with open_database(settings):
-        pass
+    await leave_recording(settings)
+    async with open_database(settings) as database:
+        await let_a_minute_pass(database)
     with cuttable(settings) as (own, outage):
         async with open_database(own) as database:
             sweeper = Sweeper(database, abandoned_s=60.0, clock=lambda: now)
@@ -218,3 +199,6 @@ async def test_after_an_outage_streams_get_time_to_say_that_they_are_there(setti
                 assert sweeper._reached_since is None
             await sweeper.sweep()
             assert sweeper._reached_since == now
+            assert await sweeper.sweep() == 0
+            now += GRACE_S
+            assert await sweeper.sweep() == 1

@@ -240,3 +240,11 @@ async def test_nobody_sees_the_trials_of_somebody_else(service):
     trial = (await upload(service, to_json(record_frames()))).json()["trial"]["id"]
     answer = await service.call("GET", f"/v1/users/bob/trials/{trial}")
     assert answer.status_code == 404
+
+
+@pytest.mark.parametrize("label", ["a\x00b", "x" * 201, "\n"])
+async def test_labels_of_forms_obey_the_rule_of_json(service, label):
+    await service.add_user()
+    answer = await send_files(service, ("own.csv", write_csv(record_frames())), label=label)
+    assert (answer.status_code, answer.json()["code"]) == (422, "invalid")
+    assert "label" in answer.json()["detail"]
