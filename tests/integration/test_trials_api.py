@@ -246,5 +246,5 @@ async def test_nobody_sees_the_trials_of_somebody_else(service):
 async def test_labels_of_forms_obey_the_rule_of_json(service, label):
     await service.add_user()
     answer = await send_files(service, ("own.csv", write_csv(record_frames())), label=label)
-    assert (answer.status_code, answer.json()["code"]) == (422, "invalid")
+    assert (answer.status_code, answer.json()["code"]) == (422, "invalid_request")
     assert "label" in answer.json()["detail"]
