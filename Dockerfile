@@ -5,7 +5,8 @@
 #
 # Where PyTorch's index cannot be reached: --build-arg TORCH_INDEX=https://pypi.org/simple (larger: with CUDA).
 
-FROM python:3.11-slim AS build
+# not the slim one: the kernel wants a C compiler
+FROM python:3.11 AS build
 ARG TORCH_INDEX=https://download.pytorch.org/whl/cpu
 ARG TORCH_VERSION=2.13.0
 RUN python -m venv /opt/kinecast

@@ -131,8 +131,11 @@ def dump_personal(
     base_sha256: str,
     familiarity: Familiarity | None = None,
 ) -> bytes:
-    """Serialise one person's decoder; the same input gives the same bytes."""
-    tensors = {_DECODER + name: t.contiguous() for name, t in decoder.state_dict().items()}
+    """Serialise one person's decoder; the same input gives the same bytes.
+
+    What half precision holds without loss is stored in half precision.
+    """
+    tensors = {_DECODER + name: _shrink(t) for name, t in decoder.state_dict().items()}
     described = {"format": PERSONAL_FORMAT, "base_sha256": base_sha256} | metadata
     if familiarity is not None:
         tensors |= {
@@ -140,6 +143,11 @@ def dump_personal(
         }
         described["familiarity"] = familiarity.describe()
     return save_tensors(tensors, metadata={"kinecast": json.dumps(described, sort_keys=True)})
+
+
+def _shrink(tensor: Tensor) -> Tensor:
+    small = tensor.half()
+    return (small if torch.equal(small.float(), tensor) else tensor).contiguous()
 
 
 def load_personal(blob: bytes, base: Forecaster, *, base_sha256: str) -> PersonalDecoder:

@@ -13,8 +13,8 @@ from torch import Tensor, nn
 
 from models.skeleton import HIP_CENTER, LEFT_HIP, LEFT_SHOULDER, RIGHT_HIP, RIGHT_SHOULDER
 
-_HEADING_FRAMES = 5
-_MIN_ACROSS_M = 0.05
+HEADING_FRAMES = 5
+MIN_ACROSS_M = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +99,7 @@ def heading_rotation(window: Float[Tensor, "batch observe joint 3"]) -> Float[Te
     The line is averaged over the last frames because one frame of a depth sensor is noisy. A
     person who shows no such line (lying on the side) keeps the heading of the input.
     """
-    recent = window[:, -_HEADING_FRAMES:].float().mean(dim=1)
+    recent = window[:, -HEADING_FRAMES:].float().mean(dim=1)
     across = (
         recent[:, LEFT_HIP]
         - recent[:, RIGHT_HIP]
@@ -107,7 +107,7 @@ def heading_rotation(window: Float[Tensor, "batch observe joint 3"]) -> Float[Te
         - recent[:, RIGHT_SHOULDER]
     )
     length = torch.hypot(across[:, 0], across[:, 2])
-    seen = length > _MIN_ACROSS_M
+    seen = length > MIN_ACROSS_M
     safe = torch.where(seen, length, torch.ones_like(length))
     cos = torch.where(seen, -across[:, 0] / safe, torch.ones_like(length))
     sin = torch.where(seen, -across[:, 2] / safe, torch.zeros_like(length))

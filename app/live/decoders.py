@@ -17,10 +17,15 @@ from app.live.breaker import Breaker
 from models.baselines import DampedVelocity, Forecaster
 from models.checkpoint import Checkpoint, CheckpointError, load_checkpoint, load_personal
 from models.personal import PersonalDecoder
+from models.runtime.fused import find_packed
 from models.runtime.mixed import NET_FAILURES, forecast_mixed
+from models.runtime.pack import PackedBase
+from models.runtime.served import ServedDecoder, forecast_served, serve
 from models.skeleton import HIP_CENTER
 from models.spec import MotionSpec
 from models.uncertainty import RadiusTable
+
+_PERSONAL = (ServedDecoder, PersonalDecoder)
 
 
 class UnusableWeightsError(ValueError):
@@ -103,7 +108,7 @@ class Decoders:
             base_sha256 = self.base_sha256
         try:
             net = self._find_base(base_sha256, base)
-            return load_personal(blob, net, base_sha256=base_sha256)
+            return serve(load_personal(blob, net, base_sha256=base_sha256))
         except CheckpointError as error:
             raise UnusableWeightsError(str(error)) from error
         except NET_FAILURES as error:  # a header that promises what is not there, and its kin
@@ -131,6 +136,9 @@ class Decoders:
         Args:
             windows: metres, net skeleton, y up.
         """
+        packed = find_packed(self._base)
+        if packed is not None:
+            return forecast_served(packed, windows, [None] * len(windows)).displacement
         given = _centre(windows)
         with torch.inference_mode():
             return _to_displacement(self._base(given), given)
@@ -149,16 +157,15 @@ class Decoders:
         Returns:
             For each window the forecast, or what was raised in its stead.
         """
-        given = _centre(windows)
         outcomes: dict[int, Outcome] = {}
         for rows in self._split(forecasters):
             try:
                 with torch.inference_mode():
-                    made = self._compute(given[rows], [forecasters[row] for row in rows])
+                    made = self._compute(windows[rows], [forecasters[row] for row in rows])
             except NET_FAILURES as error:
                 made = [error for _ in rows]
             outcomes |= zip(rows, made, strict=True)
-        return [outcomes[row] for row in range(len(given))]
+        return [outcomes[row] for row in range(len(windows))]
 
     def glide(
         self, window: Float[np.ndarray, "observe 20 3"], *, horizon: int
@@ -189,7 +196,7 @@ class Decoders:
 
     def _name_base(self, forecaster: Forecaster | None) -> str:
         """Tell what the base is called that a forecaster runs on."""
-        if isinstance(forecaster, PersonalDecoder) and forecaster.base is not self._base:
+        if isinstance(forecaster, _PERSONAL) and forecaster.base is not self._base:
             for sha256, other in tuple(self._other_bases.items()):
                 if other.predictor is forecaster.base:
                     return sha256
@@ -205,10 +212,16 @@ class Decoders:
         return table.radius(coverage)
 
     def _compute(
-        self, given: Float[Tensor, "batch observe 20 3"], forecasters: Sequence[Forecaster | None]
+        self,
+        windows: Float[np.ndarray, "batch observe 20 3"],
+        forecasters: Sequence[Forecaster | None],
     ) -> list[Outcome]:
         """Compute one part of a batch: everybody behind one base's encoder, or one forecaster."""
         first = next((one for one in forecasters if one is not None), None)
+        packed = find_packed(first.base if isinstance(first, _PERSONAL) else first or self._base)
+        if packed is not None and not isinstance(first, PersonalDecoder):
+            return _forecast_served(packed, windows, forecasters)
+        given = _centre(windows)
         if isinstance(first, PersonalDecoder):
             return _forecast_mixed(first, given, forecasters)
         displacement = _to_displacement((first or self._base)(given), given)
@@ -217,13 +230,27 @@ class Decoders:
     def _split(self, forecasters: Sequence[Forecaster | None]) -> list[list[int]]:
         """Split a batch into the rows that are computed together.
 
-        A base and what runs behind its encoder are one part; any other forecaster has its own.
+        A base and what runs behind its encoder are one part; any other forecaster has its own, and
+        so has what is not laid out for the kernel though its base is.
         """
-        parts: dict[int, list[int]] = {}
+        parts: dict[tuple[int, bool], list[int]] = {}
         for row, one in enumerate(forecasters):
-            net = one.base if isinstance(one, PersonalDecoder) else one or self._base
-            parts.setdefault(id(net), []).append(row)
+            net = one.base if isinstance(one, _PERSONAL) else one or self._base
+            is_left = isinstance(one, PersonalDecoder) and find_packed(net) is not None
+            parts.setdefault((id(net), is_left), []).append(row)
         return list(parts.values())
+
+
+def _forecast_served(
+    packed: PackedBase,
+    windows: Float[np.ndarray, "batch observe 20 3"],
+    forecasters: Sequence[Forecaster | None],
+) -> list[Outcome]:
+    """Forecast by a base and by all that run behind its encoder, in one call of the kernel."""
+    decoders = [one if isinstance(one, ServedDecoder) else None for one in forecasters]
+    made = forecast_served(packed, windows, decoders)
+    shares = made.share.tolist()
+    return [Computed(made.displacement[row], share) for row, share in enumerate(shares)]
 
 
 def _forecast_mixed(
@@ -260,7 +287,7 @@ def _to_displacement(
 
 def read_bones(forecaster: Forecaster) -> tuple[float, ...] | None:
     """Give the bones of the person that a decoder was made for, None where it does not say."""
-    if not isinstance(forecaster, PersonalDecoder):
+    if not isinstance(forecaster, _PERSONAL):
         return None
     bones = forecaster.metadata.get("bones")
     if not isinstance(bones, list) or len(bones) != BONES:
@@ -271,7 +298,7 @@ def read_bones(forecaster: Forecaster) -> tuple[float, ...] | None:
 
 
 def _read_radius_scale(forecaster: Forecaster | None) -> float | None:
-    if not isinstance(forecaster, PersonalDecoder):
+    if not isinstance(forecaster, _PERSONAL):
         return None
     scale = forecaster.metadata.get("radius_scale")
     if not isinstance(scale, int | float) or isinstance(scale, bool):

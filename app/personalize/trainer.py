@@ -31,6 +31,7 @@ from models.familiarity import Familiarity
 from models.metrics import FRAMES
 from models.personal import PersonalDecoder
 from models.predictor import Predictor
+from models.runtime.pack import round_to_half
 from models.training.finetune import FinetuneConfig, FinetuneProgress, blend, finetune
 from models.uncertainty import fit_scale
 
@@ -106,8 +107,10 @@ def train(lesson: Lesson, report: Report, *, config: FinetuneConfig | None = Non
     scale = fit_scale(base.radius, [part.distances(ruling.share) for part in examined])
     if scale is not None:
         described["radius_scale"] = metrics["radius_scale"] = round(scale, 4)
+    decoder = blend(base.predictor.decoder, whole.decoder, ruling.share)
+    round_to_half(decoder)
     blob = dump_personal(
-        blend(base.predictor.decoder, whole.decoder, ruling.share),
+        decoder,
         described,
         base_sha256=base.sha256,
         familiarity=whole.familiarity,

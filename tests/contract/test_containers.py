@@ -89,7 +89,8 @@ def test_the_image_has_the_torch_and_the_python_of_everywhere_else():
     assert pin in project["dependencies"]
     assert f"TORCH_INDEX ?= {arguments['TORCH_INDEX']}\n" in makefile
     python = {values(stage, "FROM")[0].split()[0] for stage in (BUILD, FINAL)}
-    assert python == {f"python:{project['requires-python'].removeprefix('>=')}-slim"}
+    version = project["requires-python"].removeprefix(">=")
+    assert python == {f"python:{version}", f"python:{version}-slim"}
     assert any("--constraint .constraints.txt ." in run for run in values(BUILD, "RUN"))
 
 

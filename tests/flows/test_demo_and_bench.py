@@ -4,12 +4,12 @@ import json
 import signal
 import subprocess
 import sys
-import time
 
 import pytest
 
 from app.commands.own_server import run_own_server
 from app.settings import CLIENT_KEY_VARIABLE, make_environment
+from models.runtime.fused import PROCESSORS
 from tests.flows.conftest import add_key, call
 
 
@@ -138,18 +138,19 @@ def test_bench_finetune_times_whole_runs(monkeypatch: pytest.MonkeyPatch) -> Non
     assert report["bytes_per_version"] > 1e6
 
 
-def test_bench_forecast_compares_batches_with_single_windows() -> None:
-    begin = time.monotonic()
-    told, _ = run("bench", "forecast", "--users", "1,4", "--repeats", "8", "--json")
-    rows = json.loads(told)["rows"]
-    assert [(row["users"], row["mode"]) for row in rows] == [
-        (1, "batch"),
-        (1, "one_by_one"),
-        (4, "batch"),
-        (4, "one_by_one"),
-    ]
-    assert all(row["calls"] == 8 for row in rows)
+def test_bench_forecast_compares_every_way_and_the_floor() -> None:
+    told, _ = run("bench", "forecast", "--users", "1,4", "--repeats", "5", "--json")
+    report = json.loads(told)
+    kernels = [f"{name} {kind}" for name in PROCESSORS for kind in ("float32", "float16")]
+    ways = ["eager", "torch", *kernels]
+    rows = report["rows"]
+    assert [(row["users"], row["way"]) for row in rows] == [(n, w) for n in (1, 4) for w in ways]
+    assert all(row["calls"] == 5 for row in rows)
     assert all(0 < row["us_per_forecast"]["median"] < 1e6 for row in rows)
-    assert time.monotonic() - begin < 60
+    for row in rows:
+        is_kernel = row["way"] in kernels
+        assert (row["floor_us"] is not None) == is_kernel
+        assert not is_kernel or row["us_per_forecast"]["median"] > 0.5 * row["floor_us"] > 0
+    assert (report["floor"] is not None) == bool(kernels)
     _, complained = run("bench", "forecast", "--users", "none", status=2)
     assert "1,8,32" in complained

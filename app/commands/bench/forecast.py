@@ -1,9 +1,11 @@
-"""`kinecast bench forecast`: the forecaster alone, many people at once or one by one."""
+"""`kinecast bench forecast`: forecasts alone, by everybody's own decoder, in every way there is."""
 
+import copy
 import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +13,27 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
+from app.commands.bench.floor import Floor, measure_floor
 from app.commands.figures import summarize
-from app.live.decoders import Decoders
-from app.main import load_decoders
+from models.arithmetic import arithmetic
+from models.checkpoint import SHIPPED, load_checkpoint
 from models.data.synthetic import SyntheticPerson
+from models.personal import PersonalDecoder
+from models.predictor import Predictor
+from models.runtime.fused import PROCESSORS, PackedPerson, find_packed, forecast_fused
+from models.runtime.mixed import forecast_mixed
+from models.runtime.pack import PackedBase, pack_decoder
 from models.spec import MotionSpec
 
-WARM_UP_CALLS = 5
+WARM_UP_CALLS = 3
+LEAST_CALLS = 5
+FAMILIES = 16
+"""Different decoders in torch; with more people than that, torch's copies are shared."""
+SPREAD = 0.02
+"""How far the weights of different people are apart, as a part of the base's."""
+
+Windows = Float[np.ndarray, "user 15 20 3"]
+Call = Callable[[Windows], object]
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +43,7 @@ class ForecastPlan:
     Attributes:
         users: numbers of people at once.
         repeats: calls of each kind.
-        seconds: a kind that takes longer ends after at least `WARM_UP_CALLS` calls.
+        seconds: a kind that takes longer ends after at least `LEAST_CALLS` calls.
         threads: of torch's arithmetic.
         model: a checkpoint, None for the shipped one.
     """
@@ -39,71 +55,127 @@ class ForecastPlan:
     model: Path | None
 
 
+@dataclass(frozen=True, eq=False)
+class People:
+    """Everybody's decoder, in the forms that the ways of forecasting want."""
+
+    base: Predictor
+    packed_base: PackedBase | None
+    torch: Sequence[PersonalDecoder]
+    full: Sequence[PackedPerson]
+    half: Sequence[PackedPerson]
+
+
 def measure_forecast(plan: ForecastPlan) -> dict[str, Any]:
-    """Time batches, and the same windows one by one.
+    """Time every way of forecasting some people at once, in the same run.
 
     Raises:
-        StartError: the weights cannot be loaded.
+        CheckpointError: the weights cannot be loaded.
+        OSError: they cannot be read.
     """
-    torch.set_num_threads(plan.threads)
-    torch.set_flush_denormal(True)
-    decoders = load_decoders(plan.model)
-    rows = []
-    for users in plan.users:
-        windows = invent_windows(users)
-        rows += [
-            _measure(plan, windows, mode="batch", call=decoders.forecast),
-            _measure(plan, windows, mode="one_by_one", call=_one_by_one(decoders)),
-        ]
+    checkpoint = load_checkpoint(plan.model or SHIPPED)
+    with arithmetic(plan.threads), torch.inference_mode():
+        people = invent_people(checkpoint.predictor, max(plan.users))
+        floor = None if people.packed_base is None else measure_floor(people.packed_base)
+        rows = [row for users in plan.users for row in _measure_users(plan, people, users, floor)]
     return {
         "benchmark": "forecast",
-        "model_sha256": decoders.base_sha256,
+        "model_sha256": checkpoint.sha256,
         "threads": plan.threads,
         "cores": os.cpu_count(),
         "load_average": [round(load, 2) for load in os.getloadavg()],
+        "floor": None if floor is None else floor.as_json(),
         "rows": rows,
     }
 
 
-def invent_windows(users: int) -> Float[np.ndarray, "user 15 20 3"]:
+def invent_people(base: Predictor, users: int) -> People:
+    """Give everybody a decoder near the base's; speed depends on sizes, not on what was learnt."""
+    packed = find_packed(base)
+    decoders, full, half = [], [], []
+    draw = torch.Generator().manual_seed(0)
+    for user in range(users):
+        decoder = copy.deepcopy(base.decoder)
+        for weight in decoder.parameters():
+            weight.mul_(1 + SPREAD * torch.randn(weight.shape, generator=draw))
+        if user < FAMILIES:
+            decoders.append(PersonalDecoder(base, decoder, None, {}))
+        if packed is not None:
+            full.append(PackedPerson(pack_decoder(decoder, half=False), None))
+            half.append(PackedPerson(pack_decoder(decoder, half=True), None))
+    return People(base, packed, decoders, full, half)
+
+
+def invent_windows(users: int) -> Windows:
     """Make one window of each of some people, float64 as the live flow has them."""
     spec = MotionSpec()
     seconds = spec.observe / spec.rate_hz
-    people = [SyntheticPerson(seed).record("walk", seconds) for seed in range(users)]
+    people = [SyntheticPerson(seed % 64).record("walk", seconds) for seed in range(users)]
     return np.stack(people).astype(np.float64)
 
 
-def _one_by_one(decoders: Decoders) -> Callable[[Float[np.ndarray, "user 15 20 3"]], object]:
-    def call(windows: Float[np.ndarray, "user 15 20 3"]) -> object:
-        return [decoders.forecast(windows[i : i + 1]) for i in range(len(windows))]
+def _measure_users(
+    plan: ForecastPlan, people: People, users: int, floor: Floor | None
+) -> list[dict[str, Any]]:
+    windows = invent_windows(users)
+    ways: dict[str, Call] = {
+        "eager": partial(_one_after_another, people),
+        "torch": partial(_batch, people),
+    }
+    if people.packed_base is not None:
+        for processor in PROCESSORS:
+            for kind, packed in (("float32", people.full), ("float16", people.half)):
+                call = partial(_fuse, people.packed_base, packed[:users], processor)
+                ways[f"{processor} {kind}"] = call
+    rows = [_measure(plan, windows, way=way, call=call) for way, call in ways.items()]
+    eager = rows[0]["us_per_forecast"]["median"]
+    for row in rows:
+        median = row["us_per_forecast"]["median"]
+        row["times_eager"] = round(eager / median, 1)
+        least = None if floor is None else floor.find(row["way"], users)
+        row["floor_us"] = None if least is None else round(least, 1)
+        row["times_floor"] = None if least is None else round(median / least, 2)
+    return rows
 
-    return call
+
+def _one_after_another(people: People, windows: Windows) -> object:
+    """Forecast as PyTorch does by itself: one person, then the next."""
+    given = torch.from_numpy(windows.astype(np.float32))
+    own = people.torch
+    return [own[i % len(own)](given[i : i + 1]) for i in range(len(given))]
 
 
-def _measure(
-    plan: ForecastPlan,
-    windows: Float[np.ndarray, "user 15 20 3"],
-    *,
-    mode: str,
-    call: Callable[[Float[np.ndarray, "user 15 20 3"]], object],
-) -> dict[str, Any]:
+def _batch(people: People, windows: Windows) -> object:
+    """Forecast by PyTorch, with the encoder batched."""
+    given = torch.from_numpy(windows.astype(np.float32))
+    own = people.torch
+    return forecast_mixed(people.base, given, [own[i % len(own)] for i in range(len(given))])
+
+
+def _fuse(
+    base: PackedBase, packed: Sequence[PackedPerson], processor: str, windows: Windows
+) -> object:
+    return forecast_fused(base, windows, packed, processor=processor)
+
+
+def _measure(plan: ForecastPlan, windows: Windows, *, way: str, call: Call) -> dict[str, Any]:
     """Time one way of forecasting some windows."""
+    deadline = time.perf_counter() + plan.seconds
     for _ in range(WARM_UP_CALLS):
         call(windows)
     taken_us: list[float] = []
-    deadline = time.perf_counter() + plan.seconds
     while len(taken_us) < plan.repeats:
         begin = time.perf_counter()
         call(windows)
         end = time.perf_counter()
         taken_us.append((end - begin) / len(windows) * 1e6)
-        if end > deadline and len(taken_us) >= WARM_UP_CALLS:
+        if end > deadline and len(taken_us) >= LEAST_CALLS:
             break
     spread = summarize(taken_us)
     low, high = np.percentile(taken_us, (25, 75))
     return {
         "users": len(windows),
-        "mode": mode,
+        "way": way,
         "calls": len(taken_us),
         "forecasts_per_s": round(1e6 / spread.median),
         "us_per_forecast": {

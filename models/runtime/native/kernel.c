@@ -1,0 +1,351 @@
+/* Forecasts of many people, each by a decoder of their own, without leaving the processor's cache.
+
+   One person's decoder is read again for each of the frames of a forecast, so the people take turns
+   and their weights stay close to the core; what everybody shares (encoder, base) is read once for
+   several windows. Python sees one function, which releases the interpreter's lock. */
+#define PY_SSIZE_T_CLEAN
+#include <Python.h>
+#include <math.h>
+#include <stdint.h>
+#include <stdlib.h>
+#include <string.h>
+
+#if !defined(__x86_64__) || !defined(__GNUC__)
+#error "there is no kernel for this kind of processor or compiler: torch does its work"
+#endif
+#include <immintrin.h>
+
+#include "shape.h"
+
+#include "lanes_avx2.h"
+#include "layers.h"
+
+#include "lanes_avx512.h"
+#include "layers.h"
+
+#define HEADER 64
+#define MAGIC 0x4b494e45
+#define SNAP 0.01f
+
+typedef struct {
+    const char *name;
+    void (*encode)(const Shape *, const char *, const double *, Encoded *, int);
+    void (*full)(const Shape *, const char *, const Encoded *const *, float *const *, int);
+    void (*half)(const Shape *, const char *, const Encoded *const *, float *const *, int);
+    float (*distance)(const float *, const float *, int, int, int);
+    float (*read)(const float *, size_t, int);
+    float (*read_half)(const uint16_t *, size_t, int);
+    float (*calculate)(int);
+    const int *lanes;
+} Processor;
+
+static const Processor PROCESSORS[] = {
+    {"avx512", encode_avx512, decode_avx512_full, decode_avx512_half, distance_avx512, read_avx512,
+     read_half_avx512, calculate_avx512, &lanes_avx512},
+    {"avx2", encode_avx2, decode_avx2_full, decode_avx2_half, distance_avx2, read_avx2, read_half_avx2,
+     calculate_avx2, &lanes_avx2},
+};
+enum { KNOWN = sizeof PROCESSORS / sizeof *PROCESSORS };
+
+static int is_here(int processor) {
+    __builtin_cpu_init();
+    const int narrow = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
+    if (processor) return narrow;
+    return narrow && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
+           __builtin_cpu_supports("avx512vl");
+}
+
+/* A call: borrowed buffers, and room for what it works out. */
+typedef struct {
+    const Processor *processor;
+    const Shape *shape;
+    const char *encoder, *base;
+    const char **decoders; /* of each window; NULL: the base alone */
+    const float **gates;   /* of each window; NULL: everything is familiar */
+    const double *windows;
+    float *displacement, *share;
+    Encoded *encoded;
+    float *own;
+    int count;
+} Call;
+
+static int is_half(const char *decoder) { return ((const int32_t *)decoder)[1]; }
+
+static void roll_out(const Call *call, const char *decoder, const Encoded **encoded, float **out, int count) {
+    (is_half(decoder) ? call->processor->half : call->processor->full)(
+        call->shape, decoder + HEADER, encoded, out, count);
+}
+
+/* How familiar a window is, 0 to 1; see models/familiarity.py. */
+static float weigh(const Call *call, int row) {
+    if (!call->decoders[row]) return 0.0f;
+    const float *gate = call->gates[row];
+    if (!gate) return 1.0f;
+    const float distance = call->processor->distance(
+        gate + 16, call->encoded[row].z, call->shape->z, (int)gate[0], (int)gate[1]);
+    float share = 1.0f / (1.0f + expf((distance - gate[2]) / gate[3]));
+    share = (share - SNAP) / (1 - 2 * SNAP);
+    return share < 0.0f ? 0.0f : share > 1.0f ? 1.0f : share;
+}
+
+static void mix(float *out, const float *own, float share, int size) {
+    for (int i = 0; i < size; i++) {
+        const float apart = own[i] - out[i];
+        out[i] = share < 0.5f ? out[i] + share * apart : own[i] - (1.0f - share) * apart;
+    }
+}
+
+/* From the net's frame and units back to metres in the frame of the window. */
+static void turn_back(const Shape *s, const Encoded *encoded, float *out) {
+    for (int i = 0; i < 3 * s->horizon * s->joints; i += 3) {
+        const float x = out[i] * s->scales[0], z = out[i + 2] * s->scales[0];
+        out[i] = encoded->cosine * x - encoded->sine * z;
+        out[i + 1] *= s->scales[0];
+        out[i + 2] = encoded->sine * x + encoded->cosine * z;
+    }
+}
+
+/* Rows of one decoder go together; `size` is the length of a forecast. */
+static void run(Call *call, const Encoded **encoded, float **out, char *done) {
+    const Shape *s = call->shape;
+    const int size = 3 * s->horizon * s->joints;
+    int count = 0;
+    call->processor->encode(s, call->encoder, call->windows, call->encoded, call->count);
+    for (int row = 0; row < call->count; row++) {
+        call->share[row] = weigh(call, row);
+        done[row] = !(call->share[row] != 0.0f);
+        if (!(call->share[row] < 1.0f)) continue;
+        encoded[count] = call->encoded + row, out[count++] = call->displacement + (size_t)row * size;
+    }
+    if (count) roll_out(call, call->base, encoded, out, count);
+    for (int row = 0; row < call->count; row++) {
+        if (done[row]) continue;
+        count = 0;
+        for (int other = row; other < call->count; other++) {
+            if (done[other] || call->decoders[other] != call->decoders[row]) continue;
+            done[other] = 1;
+            encoded[count] = call->encoded + other, out[count++] = call->own + (size_t)other * size;
+        }
+        roll_out(call, call->decoders[row], encoded, out, count);
+    }
+    for (int row = 0; row < call->count; row++) {
+        float *answer = call->displacement + (size_t)row * size;
+        const float share = call->share[row];
+        if (!(share < 1.0f)) memcpy(answer, call->own + (size_t)row * size, size * sizeof(float));
+        else if (share > 0.0f) mix(answer, call->own + (size_t)row * size, share, size);
+        turn_back(s, call->encoded + row, answer);
+    }
+}
+
+static int check_decoder(const Shape *s, const Py_buffer *view) {
+    Decoder_avx2_full full;
+    Decoder_avx2_half half;
+    if (view->len >= HEADER && *(const int32_t *)view->buf == MAGIC) {
+        const char *block = (const char *)view->buf + HEADER;
+        const size_t size = is_half(view->buf) ? find_decoder_avx2_half(&half, s, block)
+                                               : find_decoder_avx2_full(&full, s, block);
+        if ((size_t)view->len == HEADER + size) return 0;
+    }
+    PyErr_SetString(PyExc_ValueError, "not a decoder of this shape");
+    return -1;
+}
+
+static int check_gate(const Shape *s, const Py_buffer *view) {
+    const float *gate = view->buf;
+    if (view->len >= HEADER && gate[0] >= 1 && gate[0] <= TILE && gate[1] >= 1 && gate[1] <= 1e6) {
+        const int directions = (int)gate[0];
+        const size_t size = padded(s->z, 16) + (size_t)s->z * padded(directions, 16) +
+                            (size_t)padded((int)gate[1], 16) * directions;
+        if ((size_t)view->len == HEADER + size * sizeof(float)) return 0;
+    }
+    PyErr_SetString(PyExc_ValueError, "not a gate of this shape");
+    return -1;
+}
+
+static int check_shape(const Py_buffer *view) {
+    const Shape *s = view->buf;
+    const char *problem = NULL;
+    if (view->len != sizeof(Shape)) problem = "a shape has another size";
+    else if (s->observe < 2 || s->observe > MAX_OBSERVE || s->heading_frames > s->observe ||
+             s->joints < 1 || s->joints > MAX_JOINTS || s->horizon < 1)
+        problem = "windows or skeletons of this size have no kernel";
+    else if (s->hidden % TILE || s->hidden > MAX_HIDDEN || s->state % TILE || s->state > MAX_HIDDEN ||
+             s->token % TILE || s->token > MAX_TOKEN || s->spl % 16 || s->spl > MAX_SPL || s->z > MAX_Z ||
+             s->c > MAX_C || s->heads > MAX_HEADS || s->decoder_heads > MAX_HEADS ||
+             s->hidden % (16 * s->heads) || s->token % (16 * s->decoder_heads))
+        problem = "nets of this size have no kernel";
+    if (problem) PyErr_SetString(PyExc_ValueError, problem);
+    return problem ? -1 : 0;
+}
+
+static int check_encoder(const Shape *s, const Py_buffer *view) {
+    Encoder_avx2 encoder;
+    if ((size_t)view->len == find_encoder_avx2(&encoder, s, view->buf)) return 0;
+    PyErr_SetString(PyExc_ValueError, "not an encoder of this shape");
+    return -1;
+}
+
+/* Borrow the buffers of a list, None for NULL; gives how many views were taken, -1 on an error. */
+static Py_ssize_t borrow(PyObject *list, Py_ssize_t count, Py_buffer *views, const void **out,
+                         const Shape *s, int (*check)(const Shape *, const Py_buffer *)) {
+    Py_ssize_t taken = 0;
+    for (Py_ssize_t i = 0; i < count; i++) {
+        PyObject *item = PyList_GET_ITEM(list, i);
+        out[i] = NULL;
+        if (item == Py_None) continue;
+        if (PyObject_GetBuffer(item, &views[taken], PyBUF_SIMPLE) < 0) goto failed;
+        taken++;
+        if (check(s, &views[taken - 1]) < 0) goto failed;
+        out[i] = views[taken - 1].buf;
+    }
+    return taken;
+failed:
+    while (taken) PyBuffer_Release(&views[--taken]);
+    return -1;
+}
+
+static int check_arrays(const Call *call, const Py_buffer *given, const Py_buffer *made, const Py_buffer *share) {
+    const Shape *s = call->shape;
+    const size_t pose = 3 * (size_t)s->joints, count = call->count;
+    if ((size_t)given->len == count * s->observe * pose * sizeof(double) &&
+        (size_t)made->len == count * s->horizon * pose * sizeof(float) &&
+        (size_t)share->len == count * sizeof(float))
+        return 0;
+    PyErr_SetString(PyExc_ValueError, "arrays of another size than the lists and the shape say");
+    return -1;
+}
+
+/* Work with everything borrowed and checked; memory is the only thing that can fail. */
+static int compute(Call *call) {
+    const size_t size = 3 * (size_t)call->shape->horizon * call->shape->joints, count = call->count;
+    const Encoded **encoded = malloc(count * sizeof *encoded);
+    float **out = malloc(count * sizeof *out);
+    char *done = malloc(count);
+    call->encoded = malloc(count * sizeof *call->encoded);
+    call->own = malloc(count * size * sizeof *call->own);
+    const int has_room = encoded && out && done && call->encoded && call->own;
+    if (has_room) {
+        Py_BEGIN_ALLOW_THREADS run(call, encoded, out, done);
+        Py_END_ALLOW_THREADS
+    }
+    free(encoded), free(out), free(done), free(call->encoded), free(call->own);
+    if (!has_room) PyErr_NoMemory();
+    return has_room ? 0 : -1;
+}
+
+static int compute_lists(Call *call, PyObject *decoders, PyObject *gates) {
+    const Py_ssize_t count = call->count;
+    Py_buffer *views = PyMem_Malloc(2 * (count + 1) * sizeof *views);
+    const void **pointers = PyMem_Malloc(2 * (count + 1) * sizeof *pointers);
+    int result = -1;
+    if (!views || !pointers) {
+        PyErr_NoMemory();
+        goto free_all;
+    }
+    const Py_ssize_t taken = borrow(decoders, count, views, pointers, call->shape, check_decoder);
+    if (taken < 0) goto free_all;
+    const Py_ssize_t more = borrow(gates, count, views + taken, pointers + count, call->shape, check_gate);
+    if (more >= 0) {
+        call->decoders = (const char **)pointers, call->gates = (const float **)(pointers + count);
+        result = compute(call);
+    }
+    for (Py_ssize_t i = 0; i < taken + (more < 0 ? 0 : more); i++) PyBuffer_Release(&views[i]);
+free_all:
+    PyMem_Free(views), PyMem_Free(pointers);
+    return result;
+}
+
+PyDoc_STRVAR(forecast_doc,
+    "forecast(processor, shape, encoder, base, decoders, gates, windows, displacement, share)\n--\n\n"
+    "Forecast windows, each by its own decoder as far as its gate finds it familiar, else by the base.\n\n"
+    "processor: index into `processors`. shape: as `pack.py` gives it, like encoder, base, the list of\n"
+    "decoders and the list of gates (None for none). windows: float64 [n, observe, joints, 3], metres.\n"
+    "displacement: float32 [n, horizon, joints, 3], is filled with metres from the last pose.\n"
+    "share: float32 [n], is filled with the part that the own decoder has.");
+
+static PyObject *forecast(PyObject *module, PyObject *args) {
+    (void)module;
+    Py_buffer shape, encoder, base, windows, displacement, share;
+    PyObject *decoders, *gates, *result = NULL;
+    Call call = {0};
+    int processor;
+    if (!PyArg_ParseTuple(args, "iy*y*y*O!O!y*w*w*", &processor, &shape, &encoder, &base, &PyList_Type,
+                          &decoders, &PyList_Type, &gates, &windows, &displacement, &share))
+        return NULL;
+    call.shape = shape.buf, call.encoder = encoder.buf, call.base = base.buf, call.windows = windows.buf;
+    call.displacement = displacement.buf, call.share = share.buf;
+    call.count = (int)PyList_GET_SIZE(decoders);
+    if (processor < 0 || processor >= KNOWN || !is_here(processor))
+        PyErr_SetString(PyExc_ValueError, "this processor has no such instructions");
+    else if (PyList_GET_SIZE(gates) != call.count)
+        PyErr_SetString(PyExc_ValueError, "as many gates as decoders are needed");
+    else if (check_shape(&shape) == 0 && check_encoder(call.shape, &encoder) == 0 &&
+             check_decoder(call.shape, &base) == 0 &&
+             check_arrays(&call, &windows, &displacement, &share) == 0) {
+        call.processor = &PROCESSORS[processor];
+        if (compute_lists(&call, decoders, gates) == 0) result = Py_NewRef(Py_None);
+    }
+    PyBuffer_Release(&shape), PyBuffer_Release(&encoder), PyBuffer_Release(&base);
+    PyBuffer_Release(&windows), PyBuffer_Release(&displacement), PyBuffer_Release(&share);
+    return result;
+}
+
+PyDoc_STRVAR(check_doc, "check(shape)\n--\n\nRaise ValueError where there is no kernel for nets of this shape.");
+
+static PyObject *check(PyObject *module, PyObject *args) {
+    (void)module;
+    Py_buffer shape;
+    if (!PyArg_ParseTuple(args, "y*", &shape)) return NULL;
+    const int is_wrong = check_shape(&shape);
+    PyBuffer_Release(&shape);
+    return is_wrong ? NULL : Py_NewRef(Py_None);
+}
+
+PyDoc_STRVAR(probe_doc,
+    "probe(processor, kind, block, times)\n--\n\n"
+    "Do nothing useful as fast as this processor can: kind 0 reads a block as single precision, 1 as half\n"
+    "precision, 2 multiplies and adds. Gives how many numbers were read, or how many operations done.");
+
+static PyObject *probe(PyObject *module, PyObject *args) {
+    (void)module;
+    Py_buffer block;
+    int processor, kind, times;
+    if (!PyArg_ParseTuple(args, "iiy*i", &processor, &kind, &block, &times)) return NULL;
+    double done = 0;
+    if (processor < 0 || processor >= KNOWN || !is_here(processor) || kind < 0 || kind > 2)
+        PyErr_SetString(PyExc_ValueError, "there is no such probe on this processor");
+    else {
+        const Processor *p = &PROCESSORS[processor];
+        volatile float sink;
+        Py_BEGIN_ALLOW_THREADS
+        if (kind == 0) sink = p->read(block.buf, block.len / sizeof(float), times);
+        if (kind == 1) sink = p->read_half(block.buf, block.len / sizeof(uint16_t), times);
+        if (kind == 2) sink = p->calculate(times);
+        (void)sink;
+        Py_END_ALLOW_THREADS
+        done = kind == 2 ? 32.0 * *p->lanes * times
+                         : (double)times * block.len / (kind ? sizeof(uint16_t) : sizeof(float));
+    }
+    PyBuffer_Release(&block);
+    return PyErr_Occurred() ? NULL : PyFloat_FromDouble(done);
+}
+
+static PyMethodDef METHODS[] = {{"forecast", forecast, METH_VARARGS, forecast_doc},
+                                {"check", check, METH_VARARGS, check_doc},
+                                {"probe", probe, METH_VARARGS, probe_doc},
+                                {NULL, NULL, 0, NULL}};
+static struct PyModuleDef MODULE = {
+    PyModuleDef_HEAD_INIT, "_kernel", "Forecasts in the processor's cache; see pack.py and fused.py.", -1, METHODS,
+    NULL, NULL, NULL, NULL};
+
+PyMODINIT_FUNC PyInit__kernel(void) {
+    PyObject *module = PyModule_Create(&MODULE), *names = PyList_New(0);
+    for (int i = 0; module && names && i < KNOWN; i++) {
+        if (!is_here(i)) continue;
+        PyObject *pair = Py_BuildValue("(si)", PROCESSORS[i].name, i);
+        if (!pair || PyList_Append(names, pair) < 0) PyErr_Print();
+        Py_XDECREF(pair);
+    }
+    if (module && PyModule_AddObject(module, "processors", names) < 0) Py_DECREF(names);
+    return module;
+}

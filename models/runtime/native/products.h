@@ -1,0 +1,79 @@
+/* Products of vectors with a matrix, and the recurrent cell; included for each kind of weights.
+
+   A matrix is stored in tiles of 64 outputs: for each input its 64 weights, so that a product reads
+   memory in one direction. Inputs are padded to an even number by zeros. */
+
+/* out (+)= x W for `rows` vectors at once; `bias` is added, NULL: to what is in `out`. */
+INLINE void KIND(multiply)(
+    const int rows, float *restrict out, int out_step, const float *restrict x, int x_step,
+    const WEIGHT *restrict w, const float *restrict bias, int inputs, int outputs) {
+    enum { WIDE = LANES == 16 ? 4 : 2 };
+    const int vectors = rows == 1 ? 4 : WIDE;
+    for (int tile = 0; tile < outputs; tile += TILE, w += TILE * inputs) {
+        for (int part = 0; part < TILE; part += vectors * LANES) {
+            VEC sum[2 * ROWS][4];
+            for (int r = 0; r < rows; r++) {
+                for (int v = 0; v < vectors; v++) {
+                    const int at = tile + part + v * LANES;
+                    sum[r][v] = bias ? LOAD(bias + at) : LOAD(out + r * out_step + at);
+                    if (rows == 1) sum[1][v] = ZERO();
+                }
+            }
+            if (rows == 1) { /* two chains of sums, or each would wait for the one before */
+                for (int k = 0; k < inputs; k += 2) {
+                    const WEIGHT *row = w + k * TILE + part;
+                    for (int v = 0; v < 4; v++) {
+                        sum[0][v] = FMA(SET1(x[k]), LOAD_WEIGHT(row + v * LANES), sum[0][v]);
+                        sum[1][v] =
+                            FMA(SET1(x[k + 1]), LOAD_WEIGHT(row + TILE + v * LANES), sum[1][v]);
+                    }
+                }
+                for (int v = 0; v < 4; v++) sum[0][v] = ADD(sum[0][v], sum[1][v]);
+            } else {
+                for (int k = 0; k < inputs; k++) {
+                    const WEIGHT *row = w + k * TILE + part;
+                    VEC weights[4];
+                    for (int v = 0; v < vectors; v++) weights[v] = LOAD_WEIGHT(row + v * LANES);
+                    for (int r = 0; r < rows; r++) {
+                        const VEC given = SET1(x[r * x_step + k]);
+                        for (int v = 0; v < vectors; v++)
+                            sum[r][v] = FMA(given, weights[v], sum[r][v]);
+                    }
+                }
+            }
+            for (int r = 0; r < rows; r++)
+                for (int v = 0; v < vectors; v++)
+                    STORE(out + r * out_step + tile + part + v * LANES, sum[r][v]);
+        }
+    }
+}
+
+/* Weights of a recurrent cell (GRU): gates reset, update, new, as torch orders them. */
+typedef struct {
+    const WEIGHT *input, *hidden;
+    const float *bias, *bias_input, *bias_hidden;
+    int inputs, size;
+} KIND(Cell);
+
+/* One step of the cell for `rows` vectors; `state` is replaced. */
+INLINE void KIND(step)(const int rows, const KIND(Cell) * cell, float *state, const float *x, int x_step) {
+    float gates[ROWS][2 * MAX_HIDDEN] __attribute__((aligned(64)));
+    float given[ROWS][MAX_HIDDEN] __attribute__((aligned(64)));
+    float kept[ROWS][MAX_HIDDEN] __attribute__((aligned(64)));
+    const int size = cell->size;
+    KIND(multiply)(rows, gates[0], 2 * MAX_HIDDEN, x, x_step, cell->input, cell->bias, cell->inputs, 2 * size);
+    KIND(multiply)(rows, gates[0], 2 * MAX_HIDDEN, state, MAX_HIDDEN, cell->hidden, NULL, size, 2 * size);
+    KIND(multiply)(rows, given[0], MAX_HIDDEN, x, x_step, cell->input + 2 * size * cell->inputs,
+                   cell->bias_input, cell->inputs, size);
+    KIND(multiply)(rows, kept[0], MAX_HIDDEN, state, MAX_HIDDEN, cell->hidden + 2 * size * size,
+                   cell->bias_hidden, size, size);
+    for (int r = 0; r < rows; r++) {
+        for (int i = 0; i < size; i += LANES) {
+            const VEC reset = NAME(sigmoid)(LOAD(gates[r] + i));
+            const VEC update = NAME(sigmoid)(LOAD(gates[r] + size + i));
+            const VEC fresh = NAME(hyperbolic)(FMA(reset, LOAD(kept[r] + i), LOAD(given[r] + i)));
+            float *old = state + r * MAX_HIDDEN + i;
+            STORE(old, FMA(update, SUB(LOAD(old), fresh), fresh));
+        }
+    }
+}
