@@ -96,7 +96,7 @@ def _tabulate_streams(reports: Sequence[dict[str, Any]]) -> str:
 
 def _tabulate_forecast(report: dict[str, Any]) -> str:
     rows = [
-        "| people | way | forecasts per s | µs per forecast, median | p99 | eager ÷ this | ÷ floor |",
+        "| people | way | forecasts per s | µs each, median | p99 | eager ÷ this | ÷ floor |",
         "|---|---|---|---|---|---|---|",
     ]
     for row in report["rows"]:
