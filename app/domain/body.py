@@ -4,6 +4,7 @@ Everything here works on poses in the net's skeleton with y up, and costs one sm
 per frame. Its thresholds were measured on recordings of real people; tests hold them to it.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -107,7 +108,7 @@ _CUES: tuple[tuple[float, Float[np.ndarray, "20"]], ...] = (
 bow of the spine point backwards. Odd under a swap of sides, so one line through 0 separates them.
 The weights are a logistic regression on the training people of the recordings."""
 
-_CUE_WEIGHTS = np.array([weight for weight, _ in _CUES])
+_CUE_WEIGHTS = tuple(weight for weight, _ in _CUES)
 _ROWS = np.stack(
     [
         *(row for _, row in _CUES),
@@ -129,26 +130,20 @@ def measure_body(pose: Float[np.ndarray, "20 3"]) -> tuple[float, float, float, 
         with the facing (log odds, negative for a mirrored person); how much nearer to the hips the
         hip centre is than the shoulder centre (m, negative where joints are in another order).
     """
-    rows = _ROWS @ pose
-    torso = max(_length(rows[8]), 0.1)
+    # numbers, not arrays, from here on: for three of them that is several times as fast
+    rows = (_ROWS @ pose).tolist()
     shoulders, hips = rows[6], rows[7]
-    lateral = shoulders / max(_length(shoulders), 0.05) + hips / max(_length(hips), 0.05)
     spine = rows[8]  # the body's own up, so that who lies down or stands on the head has a front
-    forward = np.array(
-        [
-            lateral[1] * spine[2] - lateral[2] * spine[1],
-            lateral[2] * spine[0] - lateral[0] * spine[2],
-            lateral[0] * spine[1] - lateral[1] * spine[0],
-        ]
-    )
-    forward /= max(_length(forward), 1e-6)
-    cues = np.clip(rows[:6] @ forward / torso, -_CUE_LIMIT, _CUE_LIMIT)
-    return (
-        _length(rows[8]),
-        float(rows[9][1]),
-        float(cues @ _CUE_WEIGHTS),
-        _length(rows[10]) - _length(rows[11]),
-    )
+    torso = math.hypot(*spine)
+    wide, narrow = max(math.hypot(*shoulders), 0.05), max(math.hypot(*hips), 0.05)
+    x, y, z = (a / wide + b / narrow for a, b in zip(shoulders, hips, strict=True))
+    front = (y * spine[2] - z * spine[1], z * spine[0] - x * spine[2], x * spine[1] - y * spine[0])
+    scale = max(math.hypot(*front), 1e-6) * max(torso, 0.1)
+    facing = 0.0
+    for row, weight in zip(rows, _CUE_WEIGHTS, strict=False):
+        cue = (row[0] * front[0] + row[1] * front[1] + row[2] * front[2]) / scale
+        facing += weight * min(max(cue, -_CUE_LIMIT), _CUE_LIMIT)
+    return torso, rows[9][1], facing, math.hypot(*rows[10]) - math.hypot(*rows[11])
 
 
 def judge_body(
@@ -182,10 +177,6 @@ def judge_body(
     if seen_enough and facts[:, _UPRIGHT].max() < 0:
         flags.append("upside_down")
     return tuple(flags)
-
-
-def _length(vector: Float[np.ndarray, "3"]) -> float:
-    return float(np.sqrt(vector @ vector))
 
 
 def measure_bones(poses: Float[np.ndarray, "time 20 3"]) -> Float[np.ndarray, "8"]:

@@ -82,6 +82,12 @@ class VersionStamp:
     share: float = 0.0
     fallback: Fallback | None = None
 
+    def with_share(self, share: float) -> "VersionStamp":
+        """Give the same weights with another share; for every forecast, so quick."""
+        return VersionStamp(
+            self.number, self.kind, self.sha256, self.requested, share, self.fallback
+        )
+
     @property
     def replaces_pinned(self) -> bool:
         """Whether something else answered in the place of a pinned personal version."""

@@ -95,10 +95,9 @@ class Connection:
         self.stream = stream
         self.closed = asyncio.Event()
         self._socket, self._codec, self._session = socket, codec, session
-        self._slot = engine.open_slot()
+        self._slot = engine.open_slot(asyncio.get_running_loop())
         self._outbox = Outbox()
         self._scribe = Scribe(archive, self._note)
-        self._loop = asyncio.get_running_loop()
         self._sending_since: float | None = None
         self._writer: asyncio.Task[None] | None = None
 
@@ -165,7 +164,8 @@ class Connection:
             if isinstance(message, Configure) and not await self._prepare(message):
                 continue
             self._perform(self._session.receive(message, time.monotonic()))
-            await self._outbox.wait_for_room()
+            if not self._outbox.has_room:
+                await self._outbox.wait_for_room()
             await asyncio.sleep(0)  # a burst is read without waiting: let the others have a turn
 
     async def _prepare(self, message: Configure) -> bool:
@@ -245,8 +245,8 @@ class Connection:
     def _submit(self, action: Submit) -> None:
         ticket = action.ticket
 
-        def deliver(result: EngineResult) -> None:  # on the engine's thread
-            self._loop.call_soon_threadsafe(self._outbox.put_forecast, ticket, result)
+        def deliver(result: EngineResult) -> None:
+            self._outbox.put_forecast(ticket, result)
 
         try:
             self._slot.put(action.request, deliver)

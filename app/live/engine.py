@@ -6,6 +6,7 @@ of each stream in its slot. Whatever their versions, windows that wait together 
 
 import threading
 import time
+from asyncio import AbstractEventLoop
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
@@ -33,18 +34,19 @@ log = structlog.get_logger(__name__)
 
 @dataclass(slots=True)
 class _Job:
-    """One window and who waits for it."""
+    """One window, who waits for it, and on which event loop."""
 
     request: EngineRequest
     on_done: Done
     since: float
+    loop: AbstractEventLoop | None
 
 
 class Slot:
     """The place of one stream in the engine: it holds the newest window only."""
 
-    def __init__(self, engine: "Engine") -> None:
-        self._engine = engine
+    def __init__(self, engine: "Engine", loop: AbstractEventLoop | None) -> None:
+        self._engine, self.loop = engine, loop
         self.job: _Job | None = None
 
     def put(self, request: EngineRequest, on_done: Done) -> int:
@@ -52,7 +54,7 @@ class Slot:
 
         Args:
             request: the window.
-            on_done: called with the forecast, on the engine's thread.
+            on_done: called with the forecast, on the slot's loop.
 
         Returns:
             How many windows were given up (0 or 1).
@@ -131,9 +133,13 @@ class Engine:
             self._thread.join(timeout_s)
         self._give_up()
 
-    def open_slot(self) -> Slot:
-        """Give a stream its place."""
-        return Slot(self)
+    def open_slot(self, loop: AbstractEventLoop | None = None) -> Slot:
+        """Give a stream its place.
+
+        Args:
+            loop: where forecasts are handed over; None: on the engine's own thread.
+        """
+        return Slot(self, loop)
 
     def submit(self, request: EngineRequest) -> "Future[EngineResult]":
         """Ask for a single forecast, which nothing supersedes.
@@ -168,7 +174,7 @@ class Engine:
             superseded = slot.job is not None
             if not superseded:
                 self._waiting.append(slot)
-            slot.job = _Job(request, on_done, time.perf_counter())
+            slot.job = _Job(request, on_done, time.perf_counter(), slot.loop)
             self._condition.notify()
         return int(superseded)
 
@@ -244,6 +250,7 @@ class Engine:
         landings = self._ladder.forecast([job.request for job in jobs])
         ended = time.perf_counter()
         self.telemetry.count_batch(len(jobs))
+        ready: dict[AbstractEventLoop | None, list[tuple[Done, EngineResult]]] = {}
         for job, landing in zip(jobs, landings, strict=True):
             timing = Timing(
                 queue_ms=round((started - job.since) * 1e3, 3),
@@ -252,13 +259,27 @@ class Engine:
             )
             self._recent_ms += 0.1 * (timing.total_ms - self._recent_ms)
             self.telemetry.count_forecast(timing, landing.version, deadline_ms=DEADLINE_MS)
-            self._deliver(job, _to_result(job.request, landing, timing))
+            result = _to_result(job.request, landing, timing)
+            ready.setdefault(job.loop, []).append((job.on_done, result))
+        for loop, results in ready.items():
+            self._deliver(loop, results)
 
-    def _deliver(self, job: _Job, result: EngineResult) -> None:
+    def _deliver(
+        self, loop: AbstractEventLoop | None, results: Sequence[tuple[Done, EngineResult]]
+    ) -> None:
+        """Hand a batch over; a loop is woken once for all of it."""
         try:
-            job.on_done(result)
+            if loop is None:
+                _hand_over(results)
+            else:
+                loop.call_soon_threadsafe(_hand_over, results)
         except RuntimeError:  # the event loop that waited for it is closed
             log.warning("nobody waits for a forecast any more")
+
+
+def _hand_over(results: Sequence[tuple[Done, EngineResult]]) -> None:
+    for on_done, result in results:
+        on_done(result)
 
 
 def _to_result(request: EngineRequest, landing: Landing, timing: Timing) -> EngineResult:

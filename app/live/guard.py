@@ -23,7 +23,7 @@ __all__ = [
     "FACTS",
     "GuardRules",
     "Likeness",
-    "is_possible",
+    "are_possible",
     "judge_body",
     "measure_body",
     "moves_impossibly",
@@ -100,25 +100,27 @@ def moves_impossibly(
     window: Float[np.ndarray, "observe 20 3"], *, rate_hz: float, rules: GuardRules
 ) -> bool:
     """Tell whether a joint or the whole person jumps within the window."""
-    steps = np.diff(window, axis=0) * rate_hz
-    squared = np.einsum("tjc,tjc->tj", steps, steps)
+    steps = window[1:] - window[:-1]
+    squared = np.vecdot(steps, steps)
     return bool(
-        squared.max() > rules.joint_speed_max**2
-        or squared[:, HIP_CENTER].max() > rules.root_speed_max**2
+        squared.max() > (rules.joint_speed_max / rate_hz) ** 2
+        or squared[:, HIP_CENTER].max() > (rules.root_speed_max / rate_hz) ** 2
     )
 
 
-def is_possible(
-    displacement: Float[np.ndarray, "horizon 20 3"], *, rate_hz: float, rules: GuardRules
-) -> bool:
-    """Tell whether a forecast is finite and no joint of it is faster than any human's.
+def are_possible(
+    displacements: Float[np.ndarray, "batch horizon 20 3"], *, rate_hz: float, rules: GuardRules
+) -> list[bool]:
+    """Tell of each forecast whether it is finite and no joint of it is faster than any human's.
 
     Args:
-        displacement: metres from the last observed pose.
-        rate_hz: frames of the forecast per second.
+        displacements: metres from the last observed pose.
+        rate_hz: frames of a forecast per second.
         rules: the thresholds.
     """
-    if not np.isfinite(displacement).all():
-        return False
-    steps = np.diff(displacement, axis=0, prepend=0.0) * rate_hz
-    return bool(np.einsum("tjc,tjc->tj", steps, steps).max() <= rules.forecast_speed_max**2)
+    steps = displacements.copy()
+    with np.errstate(invalid="ignore", over="ignore"):
+        steps[:, 1:] -= displacements[:, :-1]
+        fastest = np.vecdot(steps, steps).max(axis=(1, 2))
+    possible: list[bool] = (fastest <= (rules.forecast_speed_max / rate_hz) ** 2).tolist()
+    return possible

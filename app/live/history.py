@@ -92,14 +92,18 @@ class History:
         if has_root:
             self._root_t = t
         hidden = t - self._root_t > self._rules.missing_max_s + SNAP_S
-        self.lost = hidden or 2 * int(np.count_nonzero(known)) < len(known)
+        self.lost = not is_whole and (hidden or 2 * int(np.count_nonzero(known)) < len(known))
         self._append(t, joints if is_whole else self._fill(joints, known, has_root=has_root))
         if not (is_whole and self._is_whole):
             self._mend(t, known)
             self._whole_since = math.inf if not is_whole else t
         self._is_whole = is_whole
+        pose = self._poses[self._end - 1]
+        if is_whole:
+            np.subtract(pose, self._root @ pose, out=self._offsets)
+            self._seen_t.fill(t)
+            return forgotten
         if has_root:
-            pose = self._poses[self._end - 1]
             self._offsets[known] = pose[known] - self._root @ pose
         self._seen_t[known] = t
         return forgotten

@@ -15,7 +15,7 @@ from jaxtyping import Float32
 
 from app.domain.motion import Fallback, VersionKind, VersionStamp
 from app.live.decoders import Computed, Decoders, Outcome
-from app.live.guard import GuardRules, is_possible
+from app.live.guard import GuardRules, are_possible
 from app.live.telemetry import Telemetry
 from app.live.work import Choice, EngineRequest
 from models.spec import MotionSpec
@@ -116,12 +116,13 @@ class Ladder:
         windows = np.stack([climb.request.window for climb in ready])
         forecasters = [climb.rungs[0].forecaster for climb in ready]
         outcomes = self._decoders.forecast_each(windows, forecasters)
-        for i, (climb, outcome) in enumerate(zip(ready, outcomes, strict=True)):
+        for i, outcome in enumerate(outcomes):
             if isinstance(outcome, Exception) and len(ready) > 1:  # perhaps a neighbour's fault
                 alone = self._decoders.forecast_each(windows[i : i + 1], forecasters[i : i + 1])
-                self._judge(climb, alone[0])
-            else:
-                self._judge(climb, outcome)
+                outcomes[i] = alone[0]
+        possible = self._find_possible(outcomes)
+        for climb, outcome, is_possible in zip(ready, outcomes, possible, strict=True):
+            self._judge(climb, outcome, is_possible=is_possible)
 
     def _pass_over(self, climb: _Climb) -> bool:
         """Step down from decoders that keep failing; tells whether there is anything to try."""
@@ -135,9 +136,9 @@ class Ladder:
             climb.step_down(blocked)
         return False
 
-    def _judge(self, climb: _Climb, outcome: Outcome) -> None:
+    def _judge(self, climb: _Climb, outcome: Outcome, *, is_possible: bool) -> None:
         """Take a forecast if it is possible."""
-        if isinstance(outcome, Computed) and self._is_possible(outcome.displacement):
+        if isinstance(outcome, Computed) and is_possible:
             self._land(climb, outcome)
             return
         reason: Fallback = "guard"
@@ -164,7 +165,7 @@ class Ladder:
         if rung.forecaster is None:
             stamp = replace(stamp, fallback=climb.reason or stamp.fallback)
         else:
-            stamp = replace(stamp, share=share)
+            stamp = stamp.with_share(share)
             if share and stamp.sha256 is not None:
                 self._decoders.breaker.succeed(stamp.sha256)
         radius = self._decoders.radius(coverage, share=share, forecaster=rung.forecaster)
@@ -176,14 +177,24 @@ class Ladder:
         kind: VersionKind = "damped_velocity"
         horizon = self._spec.horizon
         displacement = self._decoders.glide(climb.request.window, horizon=horizon)
-        if not self._is_possible(displacement):
+        if not self._are_possible(displacement[None])[0]:
             kind, displacement = "zero_velocity", np.zeros_like(displacement)
         requested = climb.request.version
         stamp = VersionStamp(None, kind, None, requested=requested, fallback=climb.reason)
         return Landing(displacement, stamp, None, _list_flags(stamp, is_calibrated=False))
 
-    def _is_possible(self, displacement: Float32[np.ndarray, "15 20 3"]) -> bool:
-        return is_possible(displacement, rate_hz=self._spec.rate_hz, rules=self._rules)
+    def _find_possible(self, outcomes: Sequence[Outcome]) -> list[bool]:
+        """Tell which outcomes are forecasts that a person can follow."""
+        rows = [i for i, outcome in enumerate(outcomes) if isinstance(outcome, Computed)]
+        found = [False] * len(outcomes)
+        if rows:
+            made = np.stack([one.displacement for one in outcomes if isinstance(one, Computed)])
+            for row, is_possible in zip(rows, self._are_possible(made), strict=True):
+                found[row] = is_possible
+        return found
+
+    def _are_possible(self, displacements: Float32[np.ndarray, "batch 15 20 3"]) -> list[bool]:
+        return are_possible(displacements, rate_hz=self._spec.rate_hz, rules=self._rules)
 
 
 def _list_flags(stamp: VersionStamp, *, is_calibrated: bool) -> tuple[str, ...]:

@@ -49,6 +49,11 @@ class Outbox:
         self._something.set()
         self._room.set()
 
+    @property
+    def has_room(self) -> bool:
+        """Whether the client takes what is sent."""
+        return self._room.is_set()
+
     async def wait_for_room(self) -> None:
         """Wait until the client has taken some of what waits."""
         await self._room.wait()
