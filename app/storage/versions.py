@@ -48,7 +48,7 @@ class NewVersion:
         base_sha256: the base that it runs on.
         trained_on: the trials.
         metrics: the judge's figures.
-        job_id: the job that made it.
+        job_id: the job that made it, None if none did.
         state: candidate or rejected.
     """
 
@@ -57,7 +57,7 @@ class NewVersion:
     base_sha256: str
     trained_on: tuple[UUID, ...]
     metrics: dict[str, Any]
-    job_id: UUID
+    job_id: UUID | None
     state: VersionState
 
 

@@ -31,6 +31,7 @@ def stream_command(
     form: Annotated[
         Literal["msgpack", "json"], typer.Option("--format", help="What the streams speak.")
     ] = "msgpack",
+    base: Annotated[bool, typer.Option("--base", help="Let the base answer everybody.")] = False,
     url: Annotated[
         str | None, typer.Option(help="A running service, in place of one of its own.")
     ] = None,
@@ -41,25 +42,31 @@ def stream_command(
 ) -> None:
     """Send frames at 30 Hz on their schedule, and time the forecasts from it.
 
-    The service runs in a process of its own, on SQLite in a folder that is thrown away. Frames that
+    The service runs in a process of its own, on SQLite in a folder that is thrown away, and every
+    user has a decoder of their own. Frames that
     are skipped, refused or never answered count as missed. Pauses of the machine itself are
     reported, and the figures are given with and without the forecasts that met one.
     """
-    from app.commands.bench.stream import StreamPlan, measure_stream, own_target  # noqa: PLC0415
+    from app.commands.bench.stream import (  # noqa: PLC0415
+        Settle,
+        StreamPlan,
+        measure_stream,
+        own_target,
+    )
     from app.commands.own_server import OwnServerError  # noqa: PLC0415 - slow to import
 
     plan = StreamPlan(users=users, seconds=seconds, repeats=repeats, form=form)
 
-    def measure(target: Target) -> dict[str, Any]:
+    def measure(target: Target, settle: Settle | None) -> dict[str, Any]:
         with err.status(f"{repeats} runs of {seconds:g} s with {users} streams"):
-            return measure_stream(plan, target)
+            return measure_stream(plan, target, settle=settle)
 
     try:
         if url is None:
-            with own_target(users) as target:
-                report = measure(target)
+            with own_target(users) as (target, settle):
+                report = measure(target, None if base else settle)
         else:
-            report = measure(find_target(url=url, key=key))
+            report = measure(find_target(url=url, key=key), None)
     except (ClientError, OwnServerError, TimeoutError) as error:
         fail(str(error) or "The measurement took too long.", status=1)
     _print(report, as_json=as_json, table=_tabulate_stream)

@@ -3,9 +3,10 @@
 import asyncio
 import os
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 
 from app.commands.bench.generator import RATE_HZ, WARM_UP_S, Load, run_load
 from app.commands.bench.probe import PAUSE_S, find_overlaps
+from app.commands.bench.residents import find_settings, give_versions
 from app.commands.client.errors import ApiError
 from app.commands.client.messages import SUBPROTOCOLS
 from app.commands.client.rest import Api
@@ -22,6 +24,8 @@ from app.commands.own_server import run_own_server
 from app.commands.target import Target
 
 DEADLINE_MS = 33.0
+
+Settle = Callable[[Sequence[str]], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,21 +46,31 @@ class StreamPlan:
 
 
 @contextmanager
-def own_target(users: int) -> Iterator[Target]:
-    """Run a service of our own, with a database that is thrown away."""
+def own_target(users: int) -> Iterator[tuple[Target, Settle]]:
+    """Run a service of our own, with a database that is thrown away, and give people versions."""
     with tempfile.TemporaryDirectory(prefix="kinecast-bench-") as folder:
         room = max(64, users)
         with run_own_server(Path(folder), streams_per_key=room, log_level="warning") as server:
-            yield Target(server.url, server.key)
+            yield (
+                Target(server.url, server.key),
+                partial(give_versions, find_settings(Path(folder))),
+            )
 
 
-def measure_stream(plan: StreamPlan, target: Target) -> dict[str, Any]:
+def measure_stream(
+    plan: StreamPlan, target: Target, *, settle: Settle | None = None
+) -> dict[str, Any]:
     """Run the load several times and report every run and their medians.
+
+    Args:
+        plan: what to measure.
+        target: which service.
+        settle: gives the users versions of their own; None: the base answers.
 
     Raises:
         ClientError: the service cannot be reached, refuses, or ends a stream.
     """
-    runs = asyncio.run(_run_all(plan, target))
+    runs = asyncio.run(_run_all(plan, target, settle))
     within = [run["within_33_ms"] for run in runs]
     p50, p99 = ([run["latency_ms"][name] for run in runs] for name in ("p50", "p99"))
     return {
@@ -66,6 +80,7 @@ def measure_stream(plan: StreamPlan, target: Target) -> dict[str, Any]:
         "seconds": plan.seconds,
         "warm_up_s": WARM_UP_S,
         "format": plan.form,
+        "decoders": "base" if settle is None else "own",
         "cores": os.cpu_count(),
         "load_average": [round(load, 2) for load in os.getloadavg()],
         "median_of_runs": {
@@ -77,12 +92,14 @@ def measure_stream(plan: StreamPlan, target: Target) -> dict[str, Any]:
     }
 
 
-async def _run_all(plan: StreamPlan, target: Target) -> list[dict[str, Any]]:
+async def _run_all(plan: StreamPlan, target: Target, settle: Settle | None) -> list[dict[str, Any]]:
     users = [f"bench-{n}" for n in range(1, plan.users + 1)]
     runs = []
     async with Api(target.url, key=target.key) as api:
         made = [user for user in users if await api.add_user(user)]
         try:
+            if settle is not None:
+                await asyncio.to_thread(settle, users)
             for _ in range(plan.repeats):
                 load = await run_load(
                     target.url,

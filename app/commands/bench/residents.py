@@ -1,0 +1,72 @@
+"""Versions for the people of a benchmark: everybody's own weights, without anybody's recordings."""
+
+import asyncio
+import copy
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import torch
+
+from app.domain.versions import ActivationKind, VersionState
+from app.settings import Settings
+from app.storage import users, versions
+from app.storage.database import Database
+from app.storage.versions import NewVersion
+from models.checkpoint import SHIPPED, Checkpoint, dump_personal, load_checkpoint
+from models.runtime.pack import round_to_half
+
+SPREAD = 0.02
+"""How far the weights of different people are apart, as a part of the base's."""
+
+
+def give_versions(settings: Settings, user_ids: Sequence[str]) -> None:
+    """Store a version for each user and make it active; all weights are different.
+
+    They have no gate, so that every forecast is wholly personal.
+
+    Args:
+        settings: of the service, for its database and its base.
+        user_ids: who gets one.
+    """
+    base = load_checkpoint(settings.model or SHIPPED)
+    asyncio.run(_store(settings, user_ids, base))
+
+
+def vary(base: Checkpoint) -> Iterator[bytes]:
+    """Give one person's weights after the other's, near the base's."""
+    draw = torch.Generator().manual_seed(0)
+    while True:
+        decoder = copy.deepcopy(base.predictor.decoder)
+        with torch.no_grad():
+            for weight in decoder.parameters():
+                weight.mul_(1 + SPREAD * torch.randn(weight.shape, generator=draw))
+        round_to_half(decoder)
+        yield dump_personal(decoder, {"radius_scale": 1.0}, base_sha256=base.sha256)
+
+
+async def _store(settings: Settings, user_ids: Sequence[str], base: Checkpoint) -> None:
+    database = Database.from_settings(settings)
+    try:
+        for user_id, blob in zip(user_ids, vary(base), strict=False):
+            new = NewVersion(
+                blob=blob,
+                parent=0,
+                base_sha256=base.sha256,
+                trained_on=(),
+                metrics={},
+                job_id=None,
+                state=VersionState.CANDIDATE,
+            )
+            async with database.write() as tx:
+                user = await users.get(tx, user_id)
+                version = await versions.add(tx, user.uuid, new)
+                await versions.activate(
+                    tx, user.uuid, version.number, kind=ActivationKind.PROMOTED, actor=None
+                )
+    finally:
+        await database.close()
+
+
+def find_settings(folder: Path) -> Settings:
+    """Give the settings of a service of one's own that keeps its data in a folder."""
+    return Settings(data_dir=folder, database_url=None, redis_url=None)
