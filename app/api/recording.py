@@ -18,6 +18,7 @@ from app.live.steps import (
     LastClip,
     Opened,
     Outcome,
+    Over,
     Portion,
     Resume,
     Step,
@@ -75,9 +76,14 @@ class TrialArchive:
                     await change(tx, self._held, now=await read_clock(tx))
         return Done()
 
-    async def _open(self, step: Begin | Resume) -> Opened:
+    async def _open(self, step: Begin | Resume) -> Opened | Over:
         user_uuid, session, epoch = self._user.uuid, self._stream.session, self._stream.epoch
         async with self._database.write() as tx:
+            ended = await recordings.find_ended(tx, user_uuid, step.trial)
+            if ended is not None:
+                job = ended.job
+                note = None if job is None else JobNote(job.id, job.state)
+                return Over(ended.state, ended.stored_seq, note)
             now = await read_clock(tx)
             if isinstance(step, Begin):
                 held = await recordings.start(

@@ -43,6 +43,7 @@ from app.live.steps import (
     Finished,
     Opened,
     Outcome,
+    Over,
     Resume,
     Step,
     Touch,
@@ -177,6 +178,8 @@ class Recorder:
         told: list[Action] = []
         if isinstance(outcome, Opened):
             told = self._begin(outcome, now)
+        elif isinstance(outcome, Over):
+            told = self._end_again(outcome)
         elif isinstance(outcome, Finished):
             told = self._end(TrialState.STORED, outcome.job)
         elif isinstance(step, Cancel):
@@ -333,6 +336,14 @@ class Recorder:
         self._ended = TrialMessage(
             state, self._trial, None, tape.stored_seq, tape.clips_dropped, job
         )
+        return [Send(self._ended)]
+
+    def _end_again(self, over: Over) -> list[Action]:
+        """Tell once more how a trial ended; frames that came meanwhile are recorded nowhere."""
+        self._early.clear()
+        self._phase, self._closing = _Phase.IDLE, None
+        job = UNSET if over.state is TrialState.CANCELLED else over.job
+        self._ended = TrialMessage(over.state, self._trial, None, over.stored_seq, 0, job)
         return [Send(self._ended)]
 
     def _give_up(self, error: KinecastError) -> list[Action]:

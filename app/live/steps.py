@@ -8,12 +8,13 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from uuid import UUID
 
+from app.domain.trials import TrialState
 from app.live.protocol import JobNote, Observation
 
 
 @dataclass(frozen=True, slots=True)
 class Begin:
-    """Begin a trial, or go on with it if this session began it before."""
+    """Begin a trial, or go on with it if it was begun before."""
 
     trial: UUID
     label: str | None
@@ -118,11 +119,26 @@ class Finished:
 
 
 @dataclass(frozen=True, slots=True)
+class Over:
+    """The trial that was to be opened has ended, on a stream that did not hear of it.
+
+    Attributes:
+        state: stored or cancelled.
+        stored_seq: the newest frame of it.
+        job: what trains on it, None if nothing does.
+    """
+
+    state: TrialState
+    stored_seq: int | None
+    job: JobNote | None
+
+
+@dataclass(frozen=True, slots=True)
 class Done:
     """The step was carried out, and there is nothing to say of it."""
 
 
-Outcome = Opened | Finished | Done
+Outcome = Opened | Over | Finished | Done
 Archive = Callable[[Step], Awaitable[Outcome]]
 """Carries steps out, one at a time. Raises NotReadyError where it may be tried again, FencedError
 and UserDeletedError where the stream must end, and other KinecastErrors where the recording must.

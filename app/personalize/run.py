@@ -222,7 +222,8 @@ def _is_nothing_new(task: Task, clips: tuple[Clip, ...]) -> bool:
 
 
 def _explain_nothing_new(flaws: list[FoundFlaw], task: Task) -> str:
-    new = [flaw for flaw in flaws if flaw.trial not in task.active_trials]
+    newest = task.clips[-1].trial  # what is wrong with older ones was told when they came
+    new = [flaw for flaw in flaws if flaw.trial == newest]
     kinds = dict.fromkeys(flaw.flaw for flaw in new)
     reasons = " ".join(kind.meaning for kind in kinds)
     return f"Nothing of the new trial can be trained on; the active version stays. {reasons}"

@@ -4,7 +4,7 @@ Working on jobs is in `app.storage.leases`.
 """
 
 from collections.abc import Sequence
-from datetime import datetime
+from datetime import datetime, timedelta
 from typing import Any
 from uuid import UUID
 
@@ -16,6 +16,7 @@ from app.domain.events import Action
 from app.domain.jobs import Job, JobReason, JobState
 from app.domain.pagination import Cursor, Page
 from app.domain.trials import TrialState
+from app.domain.users import may_be_user_id
 from app.domain.versions import VersionState
 from app.storage import audit
 from app.storage.announcements import Topic, announce
@@ -25,6 +26,8 @@ from app.storage.tables import JobRow, TrialRow, UserRow, VersionRow
 from app.storage.versions import lock_user
 
 _QUEUED = text("state = 'queued'")
+_SAME_MOMENT = timedelta(seconds=1)
+"""Trial and job of one transaction may bear the time of two clocks."""
 
 
 async def enqueue(
@@ -172,9 +175,11 @@ async def list_page(
     after: Cursor | None,
     limit: int,
 ) -> Page[Job]:
-    """List jobs, newest first."""
+    """List jobs, newest first; of what can be nobody's id there are none."""
     query = _SELECT
     if user is not None:
+        if not may_be_user_id(user):
+            return Page(items=[], next_cursor=None)
         query = query.where(UserRow.id == user)
     if state is not None:
         query = query.where(JobRow.state == state)
@@ -191,6 +196,17 @@ async def list_of_user(tx: AsyncSession, user_uuid: UUID) -> list[Job]:
     """List all jobs of a user, oldest first."""
     query = _SELECT.where(JobRow.user_uuid == user_uuid).order_by(JobRow.created_at, JobRow.id)
     return [_to_job(row, owner) for row, owner in await tx.execute(query)]
+
+
+async def find_asked_at(tx: AsyncSession, user_uuid: UUID, moment: datetime) -> Job | None:
+    """Give the job that somebody who asked at a moment got: the newest one that was there then."""
+    query = (
+        _SELECT.where(JobRow.user_uuid == user_uuid, JobRow.created_at <= moment + _SAME_MOMENT)
+        .order_by(JobRow.created_at.desc(), JobRow.id.desc())
+        .limit(1)
+    )
+    found = (await tx.execute(query)).first()
+    return None if found is None else _to_job(*found)
 
 
 async def cancel(tx: AsyncSession, job_id: UUID, *, actor: UUID | None, now: datetime) -> Job:

@@ -30,7 +30,9 @@ from app.domain.errors import (
     UnknownTrialError,
     UserDeletedError,
 )
+from app.domain.jobs import Job
 from app.domain.trials import ClipFlaw, TrialSource, TrialState
+from app.storage import jobs
 from app.storage.tables import ChunkRow, ClipRow, SessionRow, TrialRow, UserRow
 
 
@@ -54,6 +56,21 @@ class Recording:
     stored_seq: int | None = None
     clips: int = 0
     frames: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """How a recording ended.
+
+    Attributes:
+        state: stored or cancelled.
+        stored_seq: its newest frame.
+        job: what trains on it, None if nothing does.
+    """
+
+    state: TrialState
+    stored_seq: int | None
+    job: Job | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,8 +129,7 @@ async def start(
     """
     row = await tx.get(TrialRow, trial_id, with_for_update=True)
     if row is not None:
-        mine = row.user_uuid == user_uuid and row.state == TrialState.RECORDING
-        if not mine or row.session != session:
+        if row.user_uuid != user_uuid or row.state != TrialState.RECORDING:
             raise TrialConflictError(f"The id {trial_id} belongs to another trial.")
         return await _take_over(tx, row, session=session, epoch=epoch, now=now)
     if not await tx.scalar(select(_is_newest(user_uuid, session, epoch))):
@@ -136,6 +152,20 @@ async def start(
     except IntegrityError:  # begun elsewhere at this very moment
         raise TrialConflictError(f"The id {trial_id} belongs to another trial.") from None
     return await _hold(tx, row)
+
+
+async def find_ended(tx: AsyncSession, user_uuid: UUID, trial_id: UUID) -> Ended | None:
+    """Tell how a recorded trial of this user ended, None if it did not."""
+    row = await tx.get(TrialRow, trial_id)
+    if row is None or row.user_uuid != user_uuid or row.source != TrialSource.STREAM:
+        return None
+    state = TrialState(row.state)
+    if state is TrialState.RECORDING:
+        return None
+    job = None
+    if row.finetune and row.stored_at is not None:
+        job = await jobs.find_asked_at(tx, user_uuid, row.stored_at)
+    return Ended(state, row.stored_seq, job)
 
 
 async def resume(

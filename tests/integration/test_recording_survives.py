@@ -202,3 +202,43 @@ async def test_after_an_outage_streams_get_time_to_say_that_they_are_there(setti
             assert await sweeper.sweep() == 0
             now += GRACE_S
             assert await sweeper.sweep() == 1
+
+
+async def test_a_stop_whose_answer_was_lost_is_answered_on_the_next_stream(settings) -> None:
+    trial = str(uuid4())
+    with serve(settings) as server:
+        server.add_user()
+        async with server.stream(query="?session=robot") as client:
+            await begin(client, trial=trial)
+            await show(client, range(45))
+            told = await stop(client)
+        for kind in ("trial.start", "trial.resume"):
+            async with server.stream(query="?session=robot") as client:
+                await client.send(type=kind, trial=trial)
+                assert await client.expect("trial", "error") == told
+                await client.send(type="trial.stop")
+                assert await client.expect("trial", "error") == told
+                again = await begin(client)
+                assert (again["state"], again["trial"] != trial) == ("recording", True)
+                await client.send(type="trial.cancel")
+                cancelled = await expect_state(client, "cancelled")
+        async with server.stream() as client:
+            await client.send(type="trial.resume", trial=cancelled["trial"])
+            assert await client.expect("trial", "error") == cancelled
+    assert len(await list_jobs(settings)) == 1
+
+
+async def test_a_start_is_repeated_by_a_stream_without_a_name_too(settings) -> None:
+    trial = str(uuid4())
+    with serve(settings) as server:
+        server.add_user()
+        async with server.stream() as client:
+            await begin(client, trial=trial)
+            await show(client, range(30))
+            await expect_stored(client, 29)
+            client.socket.transport.abort()
+        async with server.stream() as client:
+            told = await begin(client, trial=trial)
+            assert (told["state"], told["stored_seq"]) == ("recording", 29)
+            await show(client, range(30, 50))
+            assert (await stop(client))["stored_seq"] == 49
