@@ -7,7 +7,7 @@ from weakref import WeakValueDictionary
 from models.baselines import Forecaster
 
 KEPT = 256
-"""Decoders that stay while nobody uses them, of about 1.4 MB each."""
+"""Decoders that stay while nobody uses them, of about 1 MB each."""
 
 
 class Shelf:
