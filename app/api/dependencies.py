@@ -109,11 +109,18 @@ async def _require_json(request: Request, caller: Admin) -> None:
         raise UnsupportedMediaTypeError(f"Send the body as {JSON_TYPE}.")
 
 
+async def _require_json_if_any(request: Request, caller: Admin) -> None:
+    """Refuse other formats where there is a body at all."""
+    if await request.body():
+        await _require_json(request, caller)
+
+
 Recorder = Annotated[Principal, Depends(Require(Scope.RECORD))]
 Predictor = Annotated[Principal, Depends(Require(Scope.PREDICT))]
 UserId = Annotated[str, Depends(_check_user)]
 PathUser = Annotated[User, Depends(_find_user)]
 JsonBody = Depends(_require_json)
+JsonBodyIfAny = Depends(_require_json_if_any)
 After = Annotated[Cursor | None, Depends(_read_cursor)]
 PageSize = Annotated[int, Query(ge=1, le=MAX_PAGE, description="Items of a page.")]
 PAGE_SIZE = DEFAULT_PAGE

@@ -2,14 +2,14 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Request, Response
+from fastapi import APIRouter, Body, Path, Request, Response
 
 from app.api.dependencies import (
     PAGE_SIZE,
     Admin,
     After,
     DatabaseNeeded,
-    JsonBody,
+    JsonBodyIfAny,
     PageSize,
     PathUser,
     Predictor,
@@ -26,6 +26,8 @@ from app.storage import versions, weights
 router = APIRouter(tags=["versions"])
 PREDICT, ADMIN_ONLY = needs(Scope.PREDICT), needs(Scope.ADMIN)
 Number = Annotated[int, Path(ge=0, le=2**31 - 1, description="Of the version; 0 is the base.")]
+Activation = Annotated[ActivationIn, Body(default_factory=ActivationIn)]
+"""No body is one without fields."""
 WEIGHTS_TYPE = "application/octet-stream"
 
 
@@ -114,7 +116,7 @@ def _has_already(request: Request, sha256: str) -> bool:
 @router.post(
     "/v1/admin/users/{user}/versions/{number}/promote",
     summary="Promote a version",
-    dependencies=[JsonBody],
+    dependencies=[JsonBodyIfAny],
     openapi_extra=ADMIN_ONLY,
     responses=problems(
         *DENIED,
@@ -126,7 +128,7 @@ def _has_already(request: Request, sha256: str) -> bool:
     ),
 )
 async def promote(
-    body: ActivationIn,
+    body: Activation,
     caller: Admin,
     user: PathUser,
     number: Number,
@@ -151,7 +153,7 @@ async def promote(
 @router.post(
     "/v1/admin/users/{user}/rollback",
     summary="Go back to the version before",
-    dependencies=[JsonBody],
+    dependencies=[JsonBodyIfAny],
     openapi_extra=ADMIN_ONLY,
     responses=problems(
         *DENIED,
@@ -162,7 +164,7 @@ async def promote(
     ),
 )
 async def roll_back(
-    body: ActivationIn, caller: Admin, user: PathUser, database: DatabaseNeeded, request: Request
+    body: Activation, caller: Admin, user: PathUser, database: DatabaseNeeded, request: Request
 ) -> VersionOut:
     """Go back to what was active before and was not itself rolled back, else to the base."""
     base: str = request.app.state.base_sha256
@@ -175,11 +177,13 @@ async def roll_back(
 
 
 def show_active(active: ActiveVersion, base_sha256: str) -> VersionOut:
-    """Show what is active as a forecast would name it."""
+    """Show what is active as `hello` names it: about no forecast, so a personal one in full."""
+    is_base = active.sha256 is None
     stamp = VersionStamp(
         number=active.number,
-        kind="base" if active.sha256 is None else "personal",
+        kind="base" if is_base else "personal",
         sha256=active.sha256 or base_sha256,
+        share=0.0 if is_base else 1.0,
     )
     return VersionOut.model_validate(stamp)
 

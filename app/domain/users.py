@@ -2,6 +2,7 @@
 
 import hashlib
 import hmac
+import re
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Literal
@@ -60,6 +61,11 @@ class Lived:
         pairs = zip(self.bones, newer.bones, strict=True)
         bones = tuple((1 - share) * old + share * new for old, new in pairs)
         return Lived(bones, min(seconds, LIVED_MAX_S))
+
+
+def may_be_user_id(text: str) -> bool:
+    """Tell whether a text can be a user id; of others a database may not even take the text."""
+    return re.fullmatch(USER_ID_PATTERN, text) is not None
 
 
 def pseudonym(user_id: str, *, key: bytes) -> str:

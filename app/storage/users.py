@@ -1,7 +1,6 @@
 """Users: the row that everything else of a person hangs on."""
 
 import math
-import re
 from collections.abc import Mapping
 from typing import Any
 from uuid import UUID
@@ -13,7 +12,7 @@ from sqlalchemy.ext.asyncio import AsyncSession
 from app.domain.errors import UnknownUserError, UserExistsError
 from app.domain.events import Action
 from app.domain.pagination import Cursor, Page
-from app.domain.users import USER_ID_PATTERN, Lived, UpAxis, User, pseudonym
+from app.domain.users import Lived, UpAxis, User, may_be_user_id, pseudonym
 from app.storage import audit, weights
 from app.storage.announcements import Topic, announce
 from app.storage.paging import page_query
@@ -169,8 +168,8 @@ def _to_lived(row: UserRow) -> Lived | None:
 
 
 def _require_possible(user_id: str) -> None:
-    """Refuse what cannot be an id before a database is asked, which may not even take the text."""
-    if not re.fullmatch(USER_ID_PATTERN, user_id):
+    """Refuse what cannot be an id before a database is asked."""
+    if not may_be_user_id(user_id):
         raise UnknownUserError("There is no such user.")
 
 

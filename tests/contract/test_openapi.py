@@ -93,6 +93,18 @@ def test_bodies_refuse_unknown_fields_and_have_examples(document):
         assert schema["examples"], name
 
 
+def test_bodies_that_may_be_left_out_say_so(document):
+    optional = {
+        name
+        for name, operation in operations(document)
+        if "requestBody" in operation and not operation["requestBody"].get("required", False)
+    }
+    assert optional == {
+        "POST /v1/admin/users/{user}/rollback",
+        "POST /v1/admin/users/{user}/versions/{number}/promote",
+    }
+
+
 def test_forecast_takes_both_formats(document):
     forecast = document["paths"]["/v1/users/{user}/forecast"]["post"]
     assert set(forecast["requestBody"]["content"]) == {"application/json", "application/msgpack"}
