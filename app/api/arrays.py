@@ -26,6 +26,9 @@ class _Wrong(NamedTuple):
     msg: str
 
 
+_NO_POSE = _Wrong((), "there must be a frame with joints")
+
+
 def parse_poses(value: object) -> Float[np.ndarray, "time joint 3"]:
     """Read `frames`: NaN where a joint, or a whole frame, is missing.
 
@@ -33,11 +36,14 @@ def parse_poses(value: object) -> Float[np.ndarray, "time joint 3"]:
         PydanticCustomError: naming the first place that is wrong.
     """
     if isinstance(value, dict):
-        return _parse_buffer(value, ndim=3, wire_types=("<f4", "<f8"))
+        poses = _parse_buffer(value, ndim=3, wire_types=("<f4", "<f8"))
+        if poses.size == 0:
+            raise _refuse(_NO_POSE)
+        return poses
     frames = _expect_list(value, ())
     joints = next((len(frame) for frame in frames if isinstance(frame, list)), 0)
     if joints == 0:
-        raise _refuse(_Wrong((), "there must be a frame with joints"))
+        raise _refuse(_NO_POSE)
     flat: list[Any] = []
     absent = _NO_JOINT * joints
     for frame in frames:

@@ -15,7 +15,7 @@ from app.domain.versions import VersionState
 from models.skeleton import SKELETONS
 
 Item = TypeVar("Item")
-Name = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")]
+Name = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f-\x9f]+$")]
 
 
 def _examples(*examples: dict[str, Any]) -> dict[str, Any]:

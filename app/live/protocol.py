@@ -27,7 +27,7 @@ ForecastEvery = Annotated[int, Meta(ge=1, le=600)]
 Coverage = Annotated[float, Meta(gt=0, lt=1)]
 VersionNumber = Annotated[int, Meta(ge=0, le=2**31 - 1)]
 MaxAgeMs = Annotated[float, Meta(gt=0, le=60_000)]
-Label = Annotated[str, Meta(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]*\Z")]
+Label = Annotated[str, Meta(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f-\x9f]*\Z")]
 PingId = Annotated[int, Meta(ge=-(2**53), le=2**53)] | Annotated[str, Meta(max_length=64)]
 
 

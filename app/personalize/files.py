@@ -4,6 +4,7 @@ Run only in a child process with limits: what a file of unknown origin does to a
 happen where forecasts are made.
 """
 
+import codecs
 import csv
 import io
 import tempfile
@@ -22,6 +23,8 @@ from models.skeleton import SKELETONS
 
 SUFFIXES = (".mat", ".npz", ".csv")
 CSV_COLUMNS = "t (optional), clip and action (optional), NAME.x, NAME.y, NAME.z for every joint"
+NAME_MAX = 200
+"""Characters of a file's name that name an action; what a file calls one itself is never cut."""
 _AXES = ("x", "y", "z")
 
 
@@ -62,6 +65,8 @@ def read_file(name: str, content: bytes, *, skeleton: str) -> list[FileClip]:
         raise BadRecordingError(_without_path(str(error), name)) from None
     except MemoryError:
         raise BadRecordingError(f"{name}: it needs more memory than is allowed.") from None
+    if not clips:
+        raise BadRecordingError(f"{name}: it has no clips.")
     people = sorted({clip.subject for clip in clips})
     if len(people) > 1:
         raise BadRecordingError(f"{name}: it holds several people ({', '.join(people)}).")
@@ -74,7 +79,7 @@ def _read_mat(name: str, content: bytes) -> list[Clip]:
         Clip(
             poses=utd_mhad.read_mat(content, name=name),
             subject=about.subject if about else "",
-            action=about.action if about else PurePosixPath(name).stem,
+            action=about.action if about else PurePosixPath(name).stem[:NAME_MAX],
             trial=about.trial if about else "",
             source=utd_mhad.SOURCE,
         )
@@ -90,7 +95,7 @@ def _read_npz(content: bytes) -> list[Clip]:
 
 def _to_file_clip(clip: Clip) -> FileClip:
     t = None if clip.rate_hz == utd_mhad.RATE_HZ else np.arange(len(clip.poses)) / clip.rate_hz
-    return FileClip(clip.poses.astype(np.float64), t, clip.action[:200] or None)
+    return FileClip(clip.poses.astype(np.float64), t, clip.action or None)
 
 
 def _without_path(message: str, name: str) -> str:
@@ -100,23 +105,28 @@ def _without_path(message: str, name: str) -> str:
 
 
 def _read_csv(name: str, content: bytes, skeleton: str) -> Iterator[FileClip]:
+    if not content.removeprefix(codecs.BOM_UTF8).strip():
+        raise BadRecordingError(f"{name}: it is empty.")
     try:
-        rows = list(csv.DictReader(io.StringIO(content.decode("utf-8-sig")), strict=True))
+        reader = csv.DictReader(io.StringIO(content.decode("utf-8-sig")), strict=True)
+        rows, header = list(reader), reader.fieldnames or ()
     except (UnicodeDecodeError, csv.Error) as error:
         raise BadRecordingError(f"{name}: no CSV in UTF-8: {error}.") from None
     joints = SKELETONS[skeleton].joints
     columns = [f"{joint}.{axis}" for joint in joints for axis in _AXES]
-    missing = [column for column in columns if not rows or column not in rows[0]]
+    missing = [column for column in columns if column not in header]
     if missing:
         raise BadRecordingError(
             f"{name}: without a column {missing[0]}; a row is a frame, with {CSV_COLUMNS} of "
             f"{skeleton}."
         )
+    if not rows:
+        raise BadRecordingError(f"{name}: it has no frames, only the names of columns.")
     for group in _group(rows):
         numbers = [[_read_number(row[column], name) for column in columns] for row in group]
         poses = np.array(numbers).reshape(len(group), len(joints), 3)
         t = np.array([_read_number(row["t"], name) for row in group]) if "t" in group[0] else None
-        yield FileClip(poses, t, (group[0].get("action") or "")[:200] or None)
+        yield FileClip(poses, t, group[0].get("action") or None)
 
 
 def _group(rows: list[dict[str, str]]) -> Iterator[list[dict[str, str]]]:

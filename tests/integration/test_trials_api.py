@@ -128,29 +128,29 @@ async def test_wrong_trial_is_refused(service, body, code):
     assert (await service.call("GET", TRIALS)).json()["items"] == []
 
 
-def write_npz(frames, subjects=("1",)):
+def write_npz(frames, subjects=("1",), action="wave"):
     count = len(subjects)
     buffer = io.BytesIO()
     np.savez(
         buffer,
-        frames=np.concatenate([frames.joints] * count),
-        lengths=np.array([len(frames)] * count),
-        subject=np.array(subjects),
-        action=np.array(["wave"] * count),
-        trial=np.array(["1"] * count),
+        frames=np.concatenate([frames.joints[:0], *[frames.joints] * count]),
+        lengths=np.array([len(frames)] * count, dtype=np.int64),
+        subject=np.array(subjects, dtype=np.str_),
+        action=np.array([action] * count, dtype=np.str_),
+        trial=np.array(["1"] * count, dtype=np.str_),
         rate_hz=np.float64(30.0),
     )
     return buffer.getvalue()
 
 
-def write_csv(frames):
+def write_csv(frames, action="wave"):
     from models.skeleton import KINECT_V1
 
     names = [f"{joint}.{axis}" for joint in KINECT_V1.joints for axis in "xyz"]
     lines = [",".join(["t", "action", *names])]
     for t, pose in zip(frames.t, frames.joints, strict=True):
         numbers = ["" if np.isnan(x) else repr(float(x)) for x in pose.ravel()]
-        lines.append(",".join([repr(float(t)), "wave", *numbers]))
+        lines.append(",".join([repr(float(t)), action, *numbers]))
     return "\n".join(lines).encode()
 
 
@@ -198,6 +198,8 @@ async def test_files_of_every_kind_are_read(service):
         ("a.npz", b"nonsense", "npz"),
         ("a.csv", b"a,b\n1,2\n", "head.x"),
         ("a.csv", b"\xff\xfe", "UTF-8"),
+        ("a.csv", b"", "it is empty"),
+        ("a.csv", b"\xef\xbb\xbf\n", "it is empty"),
         ("a.exe", b"", ".mat"),
     ],
 )
@@ -214,6 +216,52 @@ async def test_file_of_several_people_is_refused(sqlite_service):
     await sqlite_service.add_user()
     answer = await send_files(sqlite_service, ("a.npz", write_npz(record_frames(), ("1", "2"))))
     assert "several people (1, 2)" in answer.json()["detail"]
+
+
+async def test_file_without_a_frame_is_told_so(sqlite_service):
+    await sqlite_service.add_user()
+    header = write_csv(record_frames()).partition(b"\n")[0]
+    answer = await send_files(sqlite_service, ("a.csv", header))
+    assert (answer.status_code, answer.json()["code"]) == (422, "bad_recording")
+    assert answer.json()["detail"] == "a.csv: it has no frames, only the names of columns."
+    nothing = await send_files(sqlite_service, ("a.npz", write_npz(record_frames(), ())))
+    assert nothing.json()["detail"] == "a.npz: it has no clips."
+
+
+@pytest.mark.parametrize("action", ["x" * 201, "a\x85b"])
+async def test_actions_of_files_obey_the_rule_of_json(sqlite_service, action):
+    await sqlite_service.add_user()
+    frames = record_frames()
+    for name, content in (
+        ("a.csv", write_csv(frames, action=action)),
+        ("a.npz", write_npz(frames, action=action)),
+    ):
+        answer = await send_files(sqlite_service, (name, content))
+        assert (answer.status_code, answer.json()["code"]) == (422, "bad_recording")
+        assert f"{name}, clip 0: The action must be 1 to 200" in answer.json()["detail"]
+
+
+async def test_only_the_name_of_a_file_is_cut_to_name_an_action(sqlite_service):
+    await sqlite_service.add_user()
+    answer = await send_files(sqlite_service, ("x" * 210 + ".mat", write_mat(record_frames())))
+    (clip,) = answer.json()["trial"]["details"]
+    assert clip["action"] == "x" * 200
+
+
+async def test_a_clip_without_frames_is_refused_in_either_format(sqlite_service):
+    await sqlite_service.add_user()
+    empty = record_frames()
+    empty = type(empty)(t=empty.t[:0], joints=empty.joints[:0])
+    body = msgspec.msgpack.encode({"clips": [to_msgpack(empty)]})
+    for sent in (
+        {"content": body, "headers": MSGPACK},
+        {"json": {"clips": [{"frames": [], "t": []}]}},
+    ):
+        answer = await sqlite_service.call("POST", TRIALS, **sent)
+        assert answer.status_code == 422
+        (wrong,) = answer.json()["errors"]
+        assert wrong["loc"] == ["body", "clips", 0, "frames"]
+        assert "there must be a frame with joints" in wrong["msg"]
 
 
 async def test_upload_that_takes_too_long_is_refused(tmp_path):
@@ -242,7 +290,7 @@ async def test_nobody_sees_the_trials_of_somebody_else(service):
     assert answer.status_code == 404
 
 
-@pytest.mark.parametrize("label", ["a\x00b", "x" * 201, "\n"])
+@pytest.mark.parametrize("label", ["a\x00b", "x" * 201, "\n", "a\x85b"])
 async def test_labels_of_forms_obey_the_rule_of_json(service, label):
     await service.add_user()
     answer = await send_files(service, ("own.csv", write_csv(record_frames())), label=label)

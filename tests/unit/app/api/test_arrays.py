@@ -92,6 +92,12 @@ def test_binary_arrays_that_contradict_themselves_are_refused(change):
     assert refused_at(parse_poses, sent) == ()
 
 
+@pytest.mark.parametrize("shape", [(0, 20, 3), (2, 0, 3)])
+def test_no_frames_are_refused_as_in_lists(shape):
+    with pytest.raises(PydanticCustomError, match="there must be a frame with joints"):
+        parse_poses(to_wire(np.zeros(shape), "<f4"))
+
+
 def test_times_are_never_float32():
     assert parse_times(to_wire(np.array([1.7e9]), "<f8")).tolist() == [1.7e9]
     refused_at(parse_times, to_wire(np.array([1.7e9]), "<f4"))

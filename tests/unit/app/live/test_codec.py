@@ -136,6 +136,10 @@ REFUSED = {
     "coverage of 1": ('{"type":"configure","coverage":1}', "bad_configure"),
     "text as setting": ('{"type":"configure","forecast_every":"2"}', "bad_configure"),
     "another version": ('{"type":"configure","version":"best"}', "bad_configure"),
+    "a control character in a label": (
+        '{"type":"trial.start","label":"a\\u0085b"}',
+        "invalid_request",
+    ),
     "ping without a time": ('{"type":"ping","id":1}', "invalid_request"),
 }
 
