@@ -3,6 +3,7 @@
 import asyncio
 import hashlib
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -82,21 +83,31 @@ def _read(data: Path, *, subject: str | None, trials: str | None, finetune: bool
     """Make one request of every trial."""
     if data.suffix.lower() == ".csv":
         return [_make_form(data, finetune=finetune)]
-    chosen = None if trials is None else set(trials.split(","))
+    chosen = None if trials is None else {trial.strip() for trial in trials.split(",")}
     try:
         clips = load_clips(data, subjects=None if subject is None else {subject}, trials=chosen)
     except RecordingError as error:
         fail(str(error), status=2)
+    if not clips:
+        fail(_explain_nothing(data, subject, trials), status=2)
     people = sorted({clip.subject for clip in clips})
-    if len(people) != 1:
-        named = ", ".join(people) or "nobody"
-        fail(f"The recordings show {named}: choose one with --subject.", status=2)
+    if len(people) > 1:
+        fail(f"The recordings show {', '.join(people)}: choose one with --subject.", status=2)
     groups: dict[str, list[Clip]] = {}
     for clip in clips:
         groups.setdefault(clip.trial, []).append(clip)
     return [
         make_body(f"trial {trial}", group, finetune=finetune) for trial, group in groups.items()
     ]
+
+
+def _explain_nothing(data: Path, subject: str | None, trials: str | None) -> str:
+    """Name what was asked for and is not there."""
+    told = f"no clips of subject {subject or 'any'} and trials {trials or 'any'} in {data}"
+    may_have_names = data.suffix.lower() == ".npz"  # elsewhere trials are numbers
+    if trials is None or may_have_names or re.fullmatch(r"\s*\d+\s*(,\s*\d+\s*)*", trials):
+        return told
+    return f"--trials {trials} is no list of trials, such as 1 or 1,2: {told}"
 
 
 def make_body(label: str, clips: Sequence[Clip], *, finetune: bool) -> Batch:

@@ -102,7 +102,7 @@ def test_imported_recordings_become_a_judged_version(tmp_path, environment):
 def test_wrong_imports_are_one_clear_line(tmp_path, environment):
     for arguments, word in (
         (("--data", str(tmp_path / "nothing")), "no such file"),
-        (("--data", str(tmp_path / "own.npz"), "--subject", "5"), "choose one"),
+        (("--data", str(tmp_path / "own.npz"), "--subject", "5"), "no clips of subject 5"),
     ):
         write_recordings(tmp_path / "own.npz")
         done = run("import", "--user", "ada", *arguments, env=environment)
