@@ -192,7 +192,8 @@ class Worker:
     async def _end(self, held: Claim, task: Task, end: "Outcome | Hold | str | None") -> None:
         """Write down how it ended."""
         if end is Hold.LOST:
-            log.warning("job lost to another worker", job=str(held.job_id))
+            why = "another worker took it over, or its user was erased"
+            log.warning("job no longer ours", job=str(held.job_id), why=why)
         elif end is Hold.CANCELLED:
             await self._close_cancelled(held)
         elif isinstance(end, str):

@@ -5,6 +5,7 @@ from contextlib import asynccontextmanager
 
 import pytest
 from sqlalchemy import text
+from structlog.testing import capture_logs
 
 from app.domain.body import measure_bones
 from app.domain.jobs import JobReason, JobState
@@ -290,13 +291,17 @@ async def test_user_erased_during_a_job_leaves_nothing(database):
     _, _, job_id = await add_job(database)
     async with running(database, "slow"):
         await wait_for(database, job_id, lambda job: job.progress is not None)
-        async with database.write() as tx:
-            await users.erase(tx, "ada", actor=None, audit_key=b"audit")
-        await asyncio.sleep(1.0)
-        await add_job(database, "bob")  # the worker is there for the next one
-        async with database.read() as tx:
-            (job,) = (await jobs.list_page(tx, after=None, limit=5)).items
-        await wait_for(database, job.id, lambda job: job.progress is not None)
+        with capture_logs() as logs:
+            async with database.write() as tx:
+                await users.erase(tx, "ada", actor=None, audit_key=b"audit")
+            await asyncio.sleep(1.0)
+            await add_job(database, "bob")  # the worker is there for the next one
+            async with database.read() as tx:
+                (job,) = (await jobs.list_page(tx, after=None, limit=5)).items
+            await wait_for(database, job.id, lambda job: job.progress is not None)
+    (told,) = [line for line in logs if line.get("job") == str(job_id)]
+    assert told["event"] == "job no longer ours"
+    assert "its user was erased" in told["why"]
 
 
 async def test_base_is_stored_once(database):
