@@ -135,7 +135,7 @@ def test_bench_finetune_times_whole_runs(monkeypatch: pytest.MonkeyPatch) -> Non
     assert sum(report["verdicts"].values()) == 1
     assert report["seconds"]["count"] == 1
     assert report["seconds"]["p50"] > 0
-    assert report["bytes_per_version"] > 1e6
+    assert report["bytes_per_version"] > 5e5
 
 
 def test_bench_forecast_compares_every_way_and_the_floor() -> None:
