@@ -16,7 +16,8 @@ from models.spec import MotionSpec
 
 MIN_BLOCKS = 5
 """With fewer there is nothing to judge by."""
-LONG_CLIP_S, BLOCK_S, DROPPED_FRAMES = 4.0, 2.0, 30
+LONG_CLIP_S, BLOCK_S, DROPPED_FRAMES = 4.0, 2.5, 30
+"""Blocks are so long that an earlier and a later part of one hold some windows each."""
 GAP_FRAMES = 30
 """From the beginning of the last window that is learnt to that of the first one it is judged by."""
 TRIAL_FOLDS = 3
@@ -126,7 +127,7 @@ def _split(group: Sequence[Clip]) -> tuple[list[Clip], list[Clip]]:
     clip = group[0]
     starts = len(clip.poses) - _SPEC.frames + 1
     early = (starts - GAP_FRAMES + 1) // 2
-    if early < 1:
+    if starts - GAP_FRAMES < 2:  # one window says too little
         return [clip], []
     earlier = replace(clip, poses=clip.poses[: early + _SPEC.frames - 1])
     return [earlier], [replace(clip, poses=clip.poses[early - 1 + GAP_FRAMES :])]

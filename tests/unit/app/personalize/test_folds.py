@@ -23,8 +23,8 @@ def actions_of(clips: tuple[Clip, ...]) -> set[str]:
 
 def test_long_clips_become_blocks_with_a_gap_between() -> None:
     blocks = cut_blocks([make_clip(0, 120), make_clip(1, 300), make_clip(2, 29)])
-    assert [len(block.poses) for block in blocks] == [120, 60, 60, 60]
-    assert [int(block.poses[0, 0, 1]) for block in blocks[1:]] == [0, 90, 180]
+    assert [len(block.poses) for block in blocks] == [120, 75, 75, 75]
+    assert [int(block.poses[0, 0, 1]) for block in blocks[1:]] == [0, 105, 210]
 
 
 def test_too_few_blocks_give_no_fold() -> None:
@@ -135,5 +135,5 @@ def test_of_one_long_take_later_parts_are_left_out_as_well() -> None:
     folds = make_folds(cut_blocks([make_clip(0, 900)]))
     for fold in folds:
         assert fold.like
-        assert all(len(clip.poses) == 30 for clip in fold.like)
+        assert all(len(clip.poses) >= 30 + 5 for clip in fold.like)
         assert not frames_of(fold.learn) & frames_of(fold.like)
