@@ -9,9 +9,9 @@ import structlog
 
 from app.domain.errors import NotReadyError
 from app.live.rounds import Rounds
+from app.storage.abandoned import has_abandoned, store_abandoned
 from app.storage.clock import read_clock
 from app.storage.database import Database
-from app.storage.recordings import has_abandoned, store_abandoned
 
 SWEEP_S = 5.0
 LOOK_S = 10.0

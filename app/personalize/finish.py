@@ -68,7 +68,7 @@ async def store_recording(
     if not wanted:
         return None
     if not is_new:  # the answer was lost, not the job
-        page = await jobs.list_page(tx, user=user.id, after=None, limit=1)
-        return page.items[0] if page.items else None
+        ended = await recordings.find_ended(tx, user.uuid, held.trial_id)
+        return None if ended is None else ended.job
     job_id = await jobs.enqueue(tx, user.uuid, reason=JobReason.TRIAL, requested_by=requested_by)
     return await jobs.get(tx, job_id)

@@ -11,9 +11,9 @@ from sqlalchemy import event, text, update
 
 from app.live.job_watch import PROGRESS_S, listen_to
 from app.live.sweeper import GRACE_S, Sweeper
+from app.storage.abandoned import has_abandoned, store_abandoned
 from app.storage.announcements import Announcements, Topic
 from app.storage.job_news import read_job_news
-from app.storage.recordings import has_abandoned, store_abandoned
 from app.storage.tables import TrialRow
 from tests.personal_support import START, add_trial, add_user, claim, enqueue, finish
 

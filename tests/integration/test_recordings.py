@@ -17,6 +17,7 @@ from app.domain.errors import (
 from app.domain.recordings import RawFrames, pack_frames, unpack_frames
 from app.domain.trials import ClipFlaw, TrialState
 from app.storage import recordings, sessions, trials, users
+from app.storage.abandoned import store_abandoned
 from app.storage.recordings import Chunk
 from tests.personal_support import START, add_key, add_user, record_frames
 
@@ -200,7 +201,7 @@ async def test_recording_without_a_stream_is_stored_without_a_job(database, user
     for cutoff, expected in ((30, []), (31, [held.trial_id])):
         async with database.write() as tx:
             before = START + timedelta(seconds=cutoff)
-            assert await recordings.store_abandoned(tx, before=before, now=before) == expected
+            assert await store_abandoned(tx, before=before, now=before) == expected
     trial = await read(database, user, held)
     assert (trial.state, trial.finetune) == (TrialState.STORED, False)
 

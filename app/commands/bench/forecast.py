@@ -1,6 +1,5 @@
 """`kinecast bench forecast`: forecasts alone, by everybody's own decoder, in every way there is."""
 
-import copy
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -14,6 +13,7 @@ import torch
 from jaxtyping import Float
 
 from app.commands.bench.floor import Floor, measure_floor
+from app.commands.bench.residents import vary
 from app.commands.figures import summarize
 from models.arithmetic import arithmetic
 from models.checkpoint import SHIPPED, load_checkpoint
@@ -29,8 +29,6 @@ WARM_UP_CALLS = 3
 LEAST_CALLS = 5
 FAMILIES = 16
 """Different decoders in torch; with more people than that, torch's copies are shared."""
-SPREAD = 0.02
-"""How far the weights of different people are apart, as a part of the base's."""
 
 Windows = Float[np.ndarray, "user 15 20 3"]
 Call = Callable[[Windows], object]
@@ -93,11 +91,7 @@ def invent_people(base: Predictor, users: int) -> People:
     """Give everybody a decoder near the base's; speed depends on sizes, not on what was learnt."""
     packed = find_packed(base)
     decoders, full, half = [], [], []
-    draw = torch.Generator().manual_seed(0)
-    for user in range(users):
-        decoder = copy.deepcopy(base.decoder)
-        for weight in decoder.parameters():
-            weight.mul_(1 + SPREAD * torch.randn(weight.shape, generator=draw))
+    for user, decoder in zip(range(users), vary(base.decoder), strict=False):
         if user < FAMILIES:
             decoders.append(PersonalDecoder(base, decoder, None, {}))
         if packed is not None:

@@ -13,6 +13,7 @@ from app.storage import users, versions
 from app.storage.database import Database
 from app.storage.versions import NewVersion
 from models.checkpoint import SHIPPED, Checkpoint, dump_personal, load_checkpoint
+from models.decoder import Decoder
 from models.runtime.pack import round_to_half
 
 SPREAD = 0.02
@@ -32,24 +33,24 @@ def give_versions(settings: Settings, user_ids: Sequence[str]) -> None:
     asyncio.run(_store(settings, user_ids, base))
 
 
-def vary(base: Checkpoint) -> Iterator[bytes]:
-    """Give one person's weights after the other's, near the base's."""
+def vary(base: Decoder) -> Iterator[Decoder]:
+    """Give one person's decoder after the other's, near the base's."""
     draw = torch.Generator().manual_seed(0)
     while True:
-        decoder = copy.deepcopy(base.predictor.decoder)
+        decoder = copy.deepcopy(base)
         with torch.no_grad():
             for weight in decoder.parameters():
                 weight.mul_(1 + SPREAD * torch.randn(weight.shape, generator=draw))
-        round_to_half(decoder)
-        yield dump_personal(decoder, {"radius_scale": 1.0}, base_sha256=base.sha256)
+        yield decoder
 
 
 async def _store(settings: Settings, user_ids: Sequence[str], base: Checkpoint) -> None:
     database = Database.from_settings(settings)
     try:
-        for user_id, blob in zip(user_ids, vary(base), strict=False):
+        for user_id, decoder in zip(user_ids, vary(base.predictor.decoder), strict=False):
+            round_to_half(decoder)
             new = NewVersion(
-                blob=blob,
+                blob=dump_personal(decoder, {"radius_scale": 1.0}, base_sha256=base.sha256),
                 parent=0,
                 base_sha256=base.sha256,
                 trained_on=(),

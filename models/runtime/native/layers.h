@@ -104,6 +104,8 @@ INLINE void NAME(attend)(float *out, const float *split, int width, int heads) {
 #define LOAD_WEIGHT LOAD
 #define KIND(a) JOIN(NAME(a), full)
 #include "products.h"
+#include "rollout.h"
+#include "encode.h"
 #undef WEIGHT
 #undef LOAD_WEIGHT
 #undef KIND
@@ -117,15 +119,7 @@ INLINE void NAME(attend)(float *out, const float *split, int width, int heads) {
 #undef LOAD_WEIGHT
 #undef KIND
 
-#define WEIGHT float
-#define LOAD_WEIGHT LOAD
-#define KIND(a) JOIN(NAME(a), full)
-#include "rollout.h"
-#include "encode.h"
 #include "probe.h"
-#undef WEIGHT
-#undef LOAD_WEIGHT
-#undef KIND
 
 #undef SUFFIX
 #undef TARGET
