@@ -10,7 +10,7 @@ TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 TORCH := torch==2.13.0
 
 .DEFAULT_GOAL := help
-.PHONY: coverage live personal reproduce stream-check performance picture crowd faults help serve test lint types imports check-migrations unit clean
+.PHONY: coverage live peers where personal reproduce stream-check performance picture crowd faults help serve test lint types imports check-migrations unit clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
@@ -33,6 +33,10 @@ $(VENV)/.serve: pyproject.toml .constraints.txt $(KERNEL) $(VENV)/.torch
 $(VENV)/.test: pyproject.toml .constraints.txt $(KERNEL) $(VENV)/.torch
 	$(BIN)/pip install -q -c .constraints.txt -e '.[dev]'
 	@touch $@ $(VENV)/.serve
+
+$(VENV)/.peers: $(VENV)/.test
+	$(BIN)/pip install -q -c .constraints.txt -e '.[peers]'
+	@touch $@
 
 serve: $(VENV)/.serve ## set up what is missing and start the service on http://127.0.0.1:8000
 	@$(BIN)/kinecast serve $(ARGS)
@@ -67,8 +71,14 @@ reproduce: $(VENV)/.test ## train the shipped base again, and kill and resume a 
 stream-check: $(VENV)/.test ## stream real recordings in real time and compare with `evaluate` (about 2 min)
 	UTD_MHAD=$${UTD_MHAD:-$(SHARED)/utd-mhad} $(BIN)/python -m benchmarks.stream_check $(ARGS)
 
-performance: $(VENV)/.test ## the figures of docs/performance.md; on an idle machine (about 6 min)
+performance: $(VENV)/.test ## the figures of docs/performance.md; on an idle machine (about 15 min)
 	$(BIN)/python -m benchmarks.performance $(ARGS)
+
+where: $(VENV)/.test ## where a service's processor time goes; needs Linux's perf (20 s)
+	$(BIN)/python -m benchmarks.where $(ARGS)
+
+peers: $(VENV)/.peers ## beside LitServe, Ray Serve and PyTorch alone; on an idle machine (about 9 min)
+	$(BIN)/python -m benchmarks.peers $(ARGS)
 
 personal: $(VENV)/.test ## what personal versions give real people, through a running service (about 30 min)
 	UTD_MHAD=$${UTD_MHAD:-$(SHARED)/utd-mhad} $(BIN)/python -m benchmarks.personal $(ARGS)

@@ -2,8 +2,8 @@
 
     python -m benchmarks.symmetry --data ../shared/data/utd-mhad
 
-The net is not symmetric by construction; mirroring in training makes it nearly so. Prints, as JSON
-and in mm by frame, how far the forecast of a mirrored window is from the mirrored forecast,
+A base is symmetric by construction if it was trained to be (`PretrainConfig.symmetric`). Prints, as
+JSON and in mm by frame, how far the forecast of a mirrored window is from the mirrored forecast,
 beside how far the forecast is from the truth and how far people moved.
 """
 

@@ -133,7 +133,7 @@ def dump_personal(
 ) -> bytes:
     """Serialise one person's decoder; the same input gives the same bytes.
 
-    What half precision holds without loss is stored in half precision.
+    What 16 bits hold without loss is stored in 16 bits.
     """
     tensors = {_DECODER + name: _shrink(t) for name, t in decoder.state_dict().items()}
     described = {"format": PERSONAL_FORMAT, "base_sha256": base_sha256} | metadata
@@ -146,8 +146,10 @@ def dump_personal(
 
 
 def _shrink(tensor: Tensor) -> Tensor:
-    small = tensor.half()
-    return (small if torch.equal(small.float(), tensor) else tensor).contiguous()
+    for small in (tensor.bfloat16(), tensor.half()):
+        if torch.equal(small.float(), tensor):
+            return small.contiguous()
+    return tensor.contiguous()
 
 
 def load_personal(blob: bytes, base: Forecaster, *, base_sha256: str) -> PersonalDecoder:

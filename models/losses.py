@@ -1,10 +1,11 @@
-"""The reconstruction objective."""
+"""The reconstruction objective, and what ties categories to actions."""
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 SQUARED_WEIGHT = 20.0
+_LEAST_PROBABILITY = 1e-6
 
 
 def reconstruction_loss(
@@ -23,3 +24,15 @@ def reconstruction_loss(
     weight = 1 / torch.arange(1, error.shape[1] + 1, device=error.device)
     squared = error.square().mean(dim=(0, 2, 3)) * (weight / weight.mean())
     return position + motion + SQUARED_WEIGHT * squared.mean()
+
+
+def label_loss(
+    c: Float[Tensor, "batch category"], labels: Float[Tensor, "batch label"]
+) -> Float[Tensor, ""]:
+    """Cross-entropy between the first categories and the actions that windows are labelled with.
+
+    A blend of two windows has shares of two labels; a window without a label costs nothing, but
+    counts in the mean. `c` holds probabilities.
+    """
+    told: Tensor = (labels * (c[:, : labels.shape[1]] + _LEAST_PROBABILITY).log()).sum(dim=-1)
+    return -told.mean()

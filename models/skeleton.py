@@ -10,6 +10,7 @@ the service's edge can read it.
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -65,6 +66,11 @@ class Skeleton:
     to_net: Float[np.ndarray, "20 joint"] = field(repr=False)
     carry: Int[np.ndarray, " joint"] = field(repr=False)
     forecast: tuple[Forecast, ...] = field(repr=False)
+
+    @cached_property
+    def is_net(self) -> bool:
+        """Whether this is the net's own skeleton, joint by joint."""
+        return np.array_equal(self.to_net, np.eye(NET_JOINTS, len(self.joints)))
 
     @property
     def layout_sha256(self) -> str:

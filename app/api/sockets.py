@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 from collections.abc import Iterator
+from http import HTTPStatus
 from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
@@ -10,8 +11,10 @@ from uvicorn.protocols.utils import ClientDisconnected
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from websockets.exceptions import PayloadTooBig
 from websockets.frames import Close, Frame, Opcode
+from websockets.http11 import Request
 
 from app.api.errors import find_answer
+from app.api.framing import Pieces, wrap
 from app.domain.errors import (
     BadMessageError,
     DrainingError,
@@ -22,7 +25,7 @@ from app.domain.errors import (
 from app.live.accounting import RateLimit
 from app.live.actions import describe, take_leave
 from app.live.codec import Codec
-from app.live.connection import GoneError
+from app.live.connection import GoneError, Take
 from app.live.protocol import JSON, SUBPROTOCOLS
 
 FATAL = 4400
@@ -34,6 +37,11 @@ LEAVE_S = 2.0
 """How long the reason of an end may wait for a client that reads nothing."""
 PINGS_HZ, PING_BURST = 5.0, 60.0
 """WebSocket pings that a connection may send; libraries send one in some seconds."""
+FLOOD = 1000
+"""Frames of one read that are too many, whatever they hold: half a minute of 30 Hz."""
+BURST = 8
+"""Messages of one read that are taken at once; the rest waits, so that others have their turn."""
+_SHORTCUT = "kinecast.shortcut"
 ABANDON_S = 10.0
 """How long the last bytes may take to leave once a stream has ended."""
 
@@ -51,6 +59,8 @@ class ClientSocket:
         self.close_code = 1006
         self._websocket, self._max_bytes = websocket, max_message_bytes
         self._is_binary = False
+        shortcut = websocket.scope.get("extensions", {}).get(_SHORTCUT)
+        self._shortcut = shortcut if isinstance(shortcut, StreamProtocol) else None
 
     @property
     def is_open(self) -> bool:
@@ -87,6 +97,21 @@ class ClientSocket:
             else:
                 await self._websocket.send_text(data.decode())
 
+    def listen(self, take: Take | None) -> None:
+        """Have messages handed over as they come, without waking a task for each of them."""
+        if self._shortcut is not None:
+            self._shortcut.take = take
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether `send_now` can send."""
+        return self._shortcut is not None and self._shortcut.is_clear
+
+    def send_now(self, data: bytes) -> None:
+        """Send a message without waiting, while `is_clear`."""
+        if self._shortcut is not None:
+            self._shortcut.write(Opcode.BINARY if self._is_binary else Opcode.TEXT, data)
+
     def use(self, codec: Codec) -> None:
         """Send frames of the kind that the subprotocol has."""
         self._is_binary = codec.is_binary
@@ -111,7 +136,11 @@ class StreamProtocol(WebSocketsSansIOProtocol):
     no WebSocket frame, or no text where text is announced: 4400.
     """
 
+    take: Take | None = None
+    """Takes messages as they come; what it does not take waits in the framework's queue."""
     _lingering = False
+    _credit = 0
+    _pieces: Pieces | None = None
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:  # noqa: ANN401 - uvicorn's own
         super().__init__(*args, **kwargs)
@@ -119,8 +148,54 @@ class StreamProtocol(WebSocketsSansIOProtocol):
 
     def data_received(self, data: bytes) -> None:
         """Take bytes of the client; of one that was refused, only to throw them away."""
-        if not self._lingering:
+        if self._lingering:
+            return
+        self._credit = BURST
+        if self._pieces is None:
             super().data_received(data)
+            if self.handshake_initiated and data.endswith(b"\r\n\r\n"):
+                self._pieces = Pieces(self.config.ws_max_size)
+            return
+        for number, (message, piece) in enumerate(self._pieces.split(data)):
+            if number == FLOOD:
+                self._give_up(TooFastError("Too many messages at once."))
+            if self.is_refused:
+                return
+            self._read(message, piece)
+
+    def _read(self, message: str | bytes | None, piece: bytes) -> None:
+        """Hand a message over, or have the library read its bytes."""
+        if message is None or not self._offer(message):
+            super().data_received(piece)
+
+    def handle_connect(self, event: Request) -> None:
+        """Let the stream of this connection find its way past the framework."""
+        super().handle_connect(event)
+        if self.response.status_code == HTTPStatus.SWITCHING_PROTOCOLS:
+            extensions: dict[str, Any] = self.scope["extensions"]
+            extensions[_SHORTCUT] = self
+
+    @property
+    def is_refused(self) -> bool:
+        """Whether the client was told to go; what it sends is thrown away."""
+        return self._lingering
+
+    def _offer(self, message: str | bytes) -> bool:
+        """Hand a message over at once; where that is not possible, it is left for the task."""
+        if self.take is None or not self._credit or self.close_sent or not self.queue.empty():
+            return False
+        self._credit -= 1
+        return self.take(message)
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether the connection is open and the client takes what is sent."""
+        is_open = self.handshake_complete and not self.close_sent and not self.disconnected
+        return is_open and self.writable.is_set() and not self.transport.is_closing()
+
+    def write(self, kind: Opcode, data: bytes) -> None:
+        """Send one whole message, unmasked as servers do (RFC 6455, section 5.2)."""
+        self.transport.write(wrap(kind, data))
 
     def handle_parser_exception(self) -> None:
         """Say what was wrong in words of our protocol, and close."""
@@ -134,12 +209,18 @@ class StreamProtocol(WebSocketsSansIOProtocol):
 
     def handle_ping(self) -> None:
         """Answer a ping, but not a flood of them, which no limit of messages would see."""
-        if self._lingering:
+        if self.is_refused:
             self.conn.data_to_send()
         elif self._pings.take(self.loop.time()):
             super().handle_ping()
         else:
             self._give_up(TooFastError("Too many pings."))
+
+    def handle_pong(self, event: Frame) -> None:
+        """Take no more pongs than pings: nobody asked for them."""
+        if not self.is_refused and not self._pings.take(self.loop.time()):
+            self._give_up(TooFastError("Too many pongs."))
+        super().handle_pong(event)
 
     def _give_up(self, error: KinecastError) -> None:
         code = find_close_code(error)

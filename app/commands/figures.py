@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import median
 from typing import Any
 
 import numpy as np
@@ -34,3 +35,9 @@ def summarize(values: Sequence[float] | Float64[np.ndarray, " value"]) -> Spread
         return Spread(float("nan"), float("nan"), float("nan"), float("nan"), 0)
     median, p99, p999 = np.percentile(np.asarray(values, dtype=np.float64), (50, 99, 99.9))
     return Spread(float(median), float(p99), float(p999), float(np.max(values)), len(values))
+
+
+def take_median(values: Sequence[float | None]) -> float | None:
+    """Give the median of the figures that there are; None for none."""
+    known = [value for value in values if value is not None]
+    return median(known) if known else None

@@ -15,6 +15,10 @@ import typer
 from app.commands.output import fail, out
 from app.settings import Settings, load_settings
 
+SWITCH_S = 1e-3
+"""Longest wait of the engine for Python's lock while sockets are read: the default is 5 ms, as long
+as dozens of forecasts take."""
+
 
 def serve(
     host: Annotated[
@@ -139,6 +143,7 @@ def _get_going(address: str, key: _Key) -> None:
     """
     gc.collect()
     gc.freeze()
+    sys.setswitchinterval(SWITCH_S)
     _greet(address, key)
 
 

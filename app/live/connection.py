@@ -35,6 +35,9 @@ AGAIN_S = 0.3
 Fetch = Callable[[int], Awaitable[Choice]]
 """Loads a pinned version of the user; raises VersionUnavailableError where it cannot be used."""
 
+Take = Callable[[str | bytes], bool]
+"""Takes a message at once, or tells that it cannot be taken just now."""
+
 log = structlog.get_logger(__name__)
 
 
@@ -64,6 +67,19 @@ class Socket(Protocol):
 
     async def refuse(self, error: KinecastError, codec: Codec) -> None:
         """Say why, say goodbye and close with the error's code."""
+        ...
+
+    def listen(self, take: Take | None) -> None:
+        """Offer each message as it comes, None to nobody; `receive` gives what is not taken."""
+        ...
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether `send_now` can send: the client is there and takes what is sent."""
+        ...
+
+    def send_now(self, data: bytes) -> None:
+        """Send a message without waiting, while `is_clear`."""
         ...
 
 
@@ -100,6 +116,8 @@ class Connection:
         self._scribe = Scribe(archive, self._note)
         self._sending_since: float | None = None
         self._writer: asyncio.Task[None] | None = None
+        self._is_busy = self._is_over = False
+        self._broken: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
     async def run(self) -> None:
         """Serve the client until one side ends it; then store what was recorded."""
@@ -108,19 +126,23 @@ class Connection:
         reader = asyncio.create_task(self._read())
         scribe = asyncio.create_task(self._scribe.run())
         tasks = (self._writer, reader, scribe)
+        self._socket.listen(self._take)
         try:
-            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait((*tasks, self._broken), return_when=asyncio.FIRST_COMPLETED)
             if self._outbox.ending is not None:
                 await asyncio.wait({self._writer}, timeout=LEAVE_S)
             elif self._writer.done() and not self._writer.cancelled():
                 await asyncio.wait({reader}, timeout=READ_OUT_S)
         finally:
+            self._is_over = True
+            self._socket.listen(None)
             self._slot.close()
             self._writer.cancel()
             reader.cancel()
             await asyncio.wait({self._writer, reader})
             await self._settle(scribe)
-            outcomes = await asyncio.gather(*tasks, return_exceptions=True)
+            self._broken.cancel()
+            outcomes = await asyncio.gather(*tasks, self._broken, return_exceptions=True)
             self.closed.set()
         for outcome in outcomes:
             if isinstance(outcome, Exception) and not isinstance(outcome, GoneError):
@@ -160,13 +182,33 @@ class Connection:
         """Drain the socket into the session; the newest window waits in the engine's slot."""
         while self._outbox.ending is None:
             data = await self._socket.receive()
+            self._is_busy = True
             message = self._codec.decode(data)
-            if isinstance(message, Configure) and not await self._prepare(message):
-                continue
-            self._perform(self._session.receive(message, time.monotonic()))
-            if not self._outbox.has_room:
-                await self._outbox.wait_for_room()
+            if not isinstance(message, Configure) or await self._prepare(message):
+                self._perform(self._session.receive(message, time.monotonic()))
+                if not self._outbox.has_room:
+                    await self._outbox.wait_for_room()
+            self._is_busy = False
             await asyncio.sleep(0)  # a burst is read without waiting: let the others have a turn
+
+    def _take(self, data: str | bytes) -> bool:
+        """Read a message as it comes in, without a task's turn; tells whether that was possible."""
+        is_ending = self._is_over or self._outbox.ending is not None
+        if is_ending or self._is_busy or not self._outbox.has_room:
+            return False
+        try:
+            message = self._codec.decode(data)
+            if isinstance(message, Configure):  # may have to wait for the database
+                return False
+            self._perform(self._session.receive(message, time.monotonic()))
+        except Exception as error:  # noqa: BLE001 - `run` raises it, as it does those of its tasks
+            self._break(error)
+        return True
+
+    def _break(self, error: Exception) -> None:
+        self._is_over = True
+        if not self._broken.done():
+            self._broken.set_exception(error)
 
     async def _prepare(self, message: Configure) -> bool:
         """Load a version that is about to be pinned; the session refuses what was not loaded.
@@ -203,6 +245,17 @@ class Connection:
                 await self._send(action.message)
             else:
                 self._perform([action])
+
+    def _deliver_now(self, ticket: Ticket, result: EngineResult) -> None:
+        """Answer without a task's turn: nothing else waits to be sent."""
+        try:
+            for action in self._session.answer(ticket, result, time.monotonic()):
+                if isinstance(action, Send):
+                    self._socket.send_now(self._codec.encode(action.message))
+                else:
+                    self._perform([action])
+        except Exception as error:  # noqa: BLE001 - `run` raises it, as it does those of its tasks
+            self._break(error)
 
     async def _send(self, message: ServerMessage) -> None:
         self._sending_since = time.monotonic()
@@ -246,8 +299,15 @@ class Connection:
         ticket = action.ticket
 
         def deliver(result: EngineResult) -> None:
-            self._outbox.put_forecast(ticket, result)
+            if self._is_over:
+                return
+            if self._sending_since is None and not self._outbox and self._socket.is_clear:
+                self._deliver_now(ticket, result)
+            else:
+                self._outbox.put_forecast(ticket, result)
 
+        if self._is_over:
+            return
         try:
             self._slot.put(action.request, deliver)
         except DrainingError as error:

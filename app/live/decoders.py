@@ -39,10 +39,12 @@ class Computed:
     Attributes:
         displacement: metres from the last observed pose; as the net gave it, perhaps not finite.
         share: the personal decoder's part of it, 0 for the base.
+        fastest: its largest squared step of any joint (square metres), where that is known already.
     """
 
     displacement: Float32[np.ndarray, "horizon 20 3"]
     share: float
+    fastest: float | None = None
 
 
 Outcome = Computed | Exception
@@ -159,9 +161,11 @@ class Decoders:
         """
         outcomes: dict[int, Outcome] = {}
         for rows in self._split(forecasters):
+            is_all = len(rows) == len(windows)
             try:
-                with torch.inference_mode():
-                    made = self._compute(windows[rows], [forecasters[row] for row in rows])
+                made = self._compute(
+                    windows if is_all else windows[rows], [forecasters[row] for row in rows]
+                )
             except NET_FAILURES as error:
                 made = [error for _ in rows]
             outcomes |= zip(rows, made, strict=True)
@@ -222,9 +226,10 @@ class Decoders:
         if packed is not None and not isinstance(first, PersonalDecoder):
             return _forecast_served(packed, windows, forecasters)
         given = _centre(windows)
-        if isinstance(first, PersonalDecoder):
-            return _forecast_mixed(first, given, forecasters)
-        displacement = _to_displacement((first or self._base)(given), given)
+        with torch.inference_mode():
+            if isinstance(first, PersonalDecoder):
+                return _forecast_mixed(first, given, forecasters)
+            displacement = _to_displacement((first or self._base)(given), given)
         return [Computed(one, share=float(first is not None)) for one in displacement]
 
     def _split(self, forecasters: Sequence[Forecaster | None]) -> list[list[int]]:
@@ -249,8 +254,8 @@ def _forecast_served(
     """Forecast by a base and by all that run behind its encoder, in one call of the kernel."""
     decoders = [one if isinstance(one, ServedDecoder) else None for one in forecasters]
     made = forecast_served(packed, windows, decoders)
-    shares = made.share.tolist()
-    return [Computed(made.displacement[row], share) for row, share in enumerate(shares)]
+    rows = zip(made.displacement, made.share.tolist(), made.fastest.tolist(), strict=True)
+    return [Computed(*row) for row in rows]
 
 
 def _forecast_mixed(

@@ -1,7 +1,9 @@
 """The one thread that computes forecasts, off the event loop.
 
 It takes whoever waits at once, never waits for a batch to fill, and leaves only the newest window
-of each stream in its slot. Whatever their versions, windows that wait together are one batch.
+of each stream in its slot. Whatever their versions, windows that wait together are one batch. Who
+has waited longest comes first: all have the same time to their deadline, and a newer window keeps
+the place of the one that it replaces, so nobody starves.
 """
 
 import threading

@@ -4,6 +4,7 @@ The stream and the single request both end here.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float, Float32, Float64
@@ -63,10 +64,13 @@ def make_answer(
     """
     rate_hz = (spec or MotionSpec()).rate_hz
     quality = tuple(dict.fromkeys((*ready.flags, *result.flags, *flags)))
+    radius = result.radius
+    if radius is not None and not skeleton.is_net:
+        radius = radius[:, skeleton.carry]
     return Answer(
         frames=add_displacement(ready.last_joints, result.displacement, skeleton=skeleton, up=up),
-        t_out=ready.t + np.arange(1, len(result.displacement) + 1) / rate_hz,
-        radius=None if result.radius is None else result.radius[:, skeleton.carry],
+        t_out=ready.t + _list_steps(len(result.displacement), rate_hz),
+        radius=radius,
         coverage=result.coverage,
         version=result.version,
         quality=quality,
@@ -91,6 +95,14 @@ def add_displacement(
         skeleton: the user's format.
         up: the user's up axis.
     """
-    carried = displacement[:, skeleton.carry].astype(np.float64)
-    turned = carried if up == "y" else from_y_up(carried, up)
+    carried = displacement if skeleton.is_net else displacement[:, skeleton.carry]
+    turned = carried if up == "y" else from_y_up(carried.astype(np.float64), up)
     return np.asarray(last_joints + turned, dtype=np.float32)
+
+
+@lru_cache(maxsize=16)
+def _list_steps(count: int, rate_hz: float) -> Float64[np.ndarray, " step"]:
+    """List the seconds from the last observed pose to each forecast one."""
+    steps = np.arange(1, count + 1) / rate_hz
+    steps.flags.writeable = False
+    return steps

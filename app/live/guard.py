@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 
 from app.domain.body import (
     FACTS,
@@ -17,15 +17,17 @@ from app.domain.body import (
     measure_body,
     measure_bones,
 )
+from models.runtime.resample import find_fastest
 from models.skeleton import HIP_CENTER
 
 __all__ = [
     "FACTS",
     "GuardRules",
     "Likeness",
-    "are_possible",
+    "is_possible",
     "judge_body",
     "measure_body",
+    "measure_fastest",
     "moves_impossibly",
 ]
 MEASURE_EVERY_S = 0.25
@@ -100,27 +102,28 @@ def moves_impossibly(
     window: Float[np.ndarray, "observe 20 3"], *, rate_hz: float, rules: GuardRules
 ) -> bool:
     """Tell whether a joint or the whole person jumps within the window."""
-    steps = window[1:] - window[:-1]
-    squared = np.vecdot(steps, steps)
-    return bool(
-        squared.max() > (rules.joint_speed_max / rate_hz) ** 2
-        or squared[:, HIP_CENTER].max() > (rules.root_speed_max / rate_hz) ** 2
+    joint, root = find_fastest(window, root=HIP_CENTER)
+    return (
+        joint > (rules.joint_speed_max / rate_hz) ** 2
+        or root > (rules.root_speed_max / rate_hz) ** 2
     )
 
 
-def are_possible(
-    displacements: Float[np.ndarray, "batch horizon 20 3"], *, rate_hz: float, rules: GuardRules
-) -> list[bool]:
-    """Tell of each forecast whether it is finite and no joint of it is faster than any human's.
+def measure_fastest(displacement: Float32[np.ndarray, "horizon 20 3"]) -> float:
+    """Give the largest squared step of any joint from frame to frame of a forecast.
 
     Args:
-        displacements: metres from the last observed pose.
-        rate_hz: frames of a forecast per second.
-        rules: the thresholds.
+        displacement: metres from the last observed pose.
+
+    Returns:
+        Square metres; not a number where a coordinate is none.
     """
-    steps = displacements.copy()
+    steps = displacement.copy()
     with np.errstate(invalid="ignore", over="ignore"):
-        steps[:, 1:] -= displacements[:, :-1]
-        fastest = np.vecdot(steps, steps).max(axis=(1, 2))
-    possible: list[bool] = (fastest <= (rules.forecast_speed_max / rate_hz) ** 2).tolist()
-    return possible
+        steps[1:] -= displacement[:-1]
+        return float(np.vecdot(steps, steps).max())
+
+
+def is_possible(fastest: float, *, rate_hz: float, rules: GuardRules) -> bool:
+    """Tell whether a forecast with this largest squared step (square metres) can be followed."""
+    return fastest <= (rules.forecast_speed_max / rate_hz) ** 2

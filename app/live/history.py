@@ -29,7 +29,6 @@ class History:
         self._skeleton, self._up, self._rules = skeleton, up, rules
         self._root = skeleton.to_net[HIP_CENTER]
         self._of_root = self._root != 0
-        self._is_net = np.array_equal(skeleton.to_net, np.eye(len(skeleton.to_net), joints))
         self._nearest = _order_by_distance(skeleton)
         self._times = np.zeros(2 * CAPACITY)
         self._poses = np.zeros((2 * CAPACITY, joints, 3))
@@ -73,7 +72,7 @@ class History:
     def to_net(self, poses: Float[np.ndarray, "time joint 3"]) -> Float[np.ndarray, "time 20 3"]:
         """Bring poses of the user into the net's skeleton, y up."""
         upright = poses if self._up == "y" else to_y_up(poses, self._up)
-        return upright if self._is_net else np.asarray(self._skeleton.to_net @ upright)
+        return upright if self._skeleton.is_net else np.asarray(self._skeleton.to_net @ upright)
 
     def add(
         self, t: float, joints: Float[np.ndarray, "joint 3"], known: Bool[np.ndarray, " joint"]

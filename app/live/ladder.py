@@ -15,7 +15,7 @@ from jaxtyping import Float32
 
 from app.domain.motion import Fallback, VersionKind, VersionStamp
 from app.live.decoders import Computed, Decoders, Outcome
-from app.live.guard import GuardRules, are_possible
+from app.live.guard import GuardRules, is_possible, measure_fastest
 from app.live.telemetry import Telemetry
 from app.live.work import Choice, EngineRequest
 from models.spec import MotionSpec
@@ -120,9 +120,8 @@ class Ladder:
             if isinstance(outcome, Exception) and len(ready) > 1:  # perhaps a neighbour's fault
                 alone = self._decoders.forecast_each(windows[i : i + 1], forecasters[i : i + 1])
                 outcomes[i] = alone[0]
-        possible = self._find_possible(outcomes)
-        for climb, outcome, is_possible in zip(ready, outcomes, possible, strict=True):
-            self._judge(climb, outcome, is_possible=is_possible)
+        for climb, outcome in zip(ready, outcomes, strict=True):
+            self._judge(climb, outcome)
 
     def _pass_over(self, climb: _Climb) -> bool:
         """Step down from decoders that keep failing; tells whether there is anything to try."""
@@ -136,9 +135,9 @@ class Ladder:
             climb.step_down(blocked)
         return False
 
-    def _judge(self, climb: _Climb, outcome: Outcome, *, is_possible: bool) -> None:
+    def _judge(self, climb: _Climb, outcome: Outcome) -> None:
         """Take a forecast if it is possible."""
-        if isinstance(outcome, Computed) and is_possible:
+        if isinstance(outcome, Computed) and self._can_follow(outcome):
             self._land(climb, outcome)
             return
         reason: Fallback = "guard"
@@ -177,24 +176,18 @@ class Ladder:
         kind: VersionKind = "damped_velocity"
         horizon = self._spec.horizon
         displacement = self._decoders.glide(climb.request.window, horizon=horizon)
-        if not self._are_possible(displacement[None])[0]:
+        if not self._can_follow(Computed(displacement, share=0.0)):
             kind, displacement = "zero_velocity", np.zeros_like(displacement)
         requested = climb.request.version
         stamp = VersionStamp(None, kind, None, requested=requested, fallback=climb.reason)
         return Landing(displacement, stamp, None, _list_flags(stamp, is_calibrated=False))
 
-    def _find_possible(self, outcomes: Sequence[Outcome]) -> list[bool]:
-        """Tell which outcomes are forecasts that a person can follow."""
-        rows = [i for i, outcome in enumerate(outcomes) if isinstance(outcome, Computed)]
-        found = [False] * len(outcomes)
-        if rows:
-            made = np.stack([one.displacement for one in outcomes if isinstance(one, Computed)])
-            for row, is_possible in zip(rows, self._are_possible(made), strict=True):
-                found[row] = is_possible
-        return found
-
-    def _are_possible(self, displacements: Float32[np.ndarray, "batch 15 20 3"]) -> list[bool]:
-        return are_possible(displacements, rate_hz=self._spec.rate_hz, rules=self._rules)
+    def _can_follow(self, computed: Computed) -> bool:
+        """Tell whether a person can follow a forecast."""
+        fastest = computed.fastest
+        if fastest is None:
+            fastest = measure_fastest(computed.displacement)
+        return is_possible(fastest, rate_hz=self._spec.rate_hz, rules=self._rules)
 
 
 def _list_flags(stamp: VersionStamp, *, is_calibrated: bool) -> tuple[str, ...]:

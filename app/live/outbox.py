@@ -30,6 +30,9 @@ class Outbox:
     def __len__(self) -> int:
         return len(self._messages)
 
+    def __bool__(self) -> bool:
+        return bool(self._messages) or self._forecast is not None or self.ending is not None
+
     def put(self, message: ServerMessage) -> None:
         """Queue a message that must arrive."""
         self._messages.append(message)

@@ -261,21 +261,29 @@ class Recorder:
         closing, self._closing = self._closing, None
         early, self._early = self._early, []
         told: list[Action] = []
-        for event, anew in early:
-            told += self._catch_up(event, now, anew=anew)
+        while early:
+            event, anew = early.pop(0)
+            first = next((one.seq for one, _ in early if isinstance(one, Observation)), None)
+            told += self._catch_up(event, now, anew=anew, first=first)
         if closing is not None:
             return [*told, *self._close(closing, TrialState.STORED, now)]
         return [*told, self._show()]
 
     def _catch_up(
-        self, event: ClipStart | ClipStop | Observation, now: float, *, anew: bool
+        self,
+        event: ClipStart | ClipStop | Observation,
+        now: float,
+        *,
+        anew: bool,
+        first: int | None,
     ) -> list[Action]:
+        """Do what came while the trial was being opened; `first` is the next frame after it."""
         if isinstance(event, Observation):
             return self._add(event, now, anew=anew)
         try:
             return self._turn(event, now)
         except TrialLimitError as error:
-            return [Send(describe(error))]
+            return [Send(describe(error, first))]
 
     def _add(self, frame: Observation, now: float, *, anew: bool) -> list[Action]:
         clip = self._tape.open

@@ -13,6 +13,7 @@ class Telemetry:
 
     def __init__(self) -> None:
         self.registry = CollectorRegistry()
+        self._labelled: dict[tuple[int, str], Counter] = {}
         self._latency = Histogram(
             "kinecast_forecast_latency_ms",
             "Milliseconds from a window to its forecast: waiting, computing, both.",
@@ -51,6 +52,14 @@ class Telemetry:
     def _count(self, name: str, meaning: str, *labels: str) -> Counter:
         return Counter(name, meaning, labels, registry=self.registry)
 
+    def _label(self, counter: Counter, label: str) -> Counter:
+        """Give the counter of one label; looked up once, for these are counted for every frame."""
+        key = (id(counter), label)
+        found = self._labelled.get(key)
+        if found is None:
+            found = self._labelled[key] = counter.labels(label)
+        return found
+
     def count_forecast(self, timing: Timing, stamp: VersionStamp, *, deadline_ms: float) -> None:
         """Count one forecast of the engine."""
         stages = {"queue": timing.queue_ms, "compute": timing.compute_ms, "total": timing.total_ms}
@@ -58,7 +67,7 @@ class Telemetry:
             self._stages[stage].observe(milliseconds)
         if timing.total_ms > deadline_ms:
             self._misses.inc()
-        self._forecasts.labels(stamp.kind).inc()
+        self._label(self._forecasts, stamp.kind).inc()
         if stamp.fallback is not None:
             self._fallbacks.labels(stamp.fallback).inc()
 
@@ -73,7 +82,7 @@ class Telemetry:
     def count_frames(self, fate: str, number: int = 1) -> None:
         """Count frames: `received`, `answered`, `skipped`, `not_due`, `stale` or `waiting`."""
         if number:
-            self._frames.labels(fate).inc(number)
+            self._label(self._frames, fate).inc(number)
 
     def count_error(self, code: str) -> None:
         """Count one error that a stream was told."""

@@ -34,6 +34,7 @@ from app.live.frames import (
 )
 from app.live.history import History
 from app.live.sightings import Sightings
+from models.runtime.resample import resample
 from models.skeleton import Skeleton
 from models.spec import MotionSpec
 
@@ -94,6 +95,7 @@ class FrameBuffer:
         self.likeness = guard.Likeness(self.rules.guard)
         self.sightings = Sightings()
         self._grid = -np.arange(self.spec.observe - 1, -1, -1) / self.spec.rate_hz
+        self._span_s = -float(self._grid[0])
         self._steps: deque[float] = deque(maxlen=_STEPS)
         self._last_t: float | None = None
         self.clear()
@@ -160,13 +162,16 @@ class FrameBuffer:
             return Waiting("person_lost", history.span_s, need_s)
         if history.span_s < need_s - SNAP_S:
             return Waiting(self._reason, history.span_s, need_s)
-        window = history.to_net(self._interpolate())
-        filled = history.list_filled(since_s=-float(self._grid[0]))
+        times, poses = history.times, history.poses
+        resampled, longest_s = resample(times, poses, self._grid, snap_s=SNAP_S)
+        window = history.to_net(resampled)
+        filled = history.list_filled(since_s=self._span_s)
+        flags = self._list_flags(window, longest_s, filled=bool(filled), whole=whole)
         return WindowReady(
             window=window,
-            last_joints=history.poses[-1].copy(),
-            t=float(history.times[-1]),
-            flags=self._list_flags(window, filled=bool(filled), whole=whole),
+            last_joints=poses[-1].copy(),
+            t=float(times[-1]),
+            flags=flags,
             filled=filled,
         )
 
@@ -211,35 +216,22 @@ class FrameBuffer:
             self.clear("person_lost")  # frames came, but nobody was in them
         return None
 
-    def _interpolate(self) -> Float[np.ndarray, "15 joint 3"]:
-        times, poses = self._history.times, self._history.poses
-        count = len(self._grid)
-        if len(times) >= count:
-            recent = times[-count:] - times[-1]
-            if np.abs(recent - self._grid).max() <= SNAP_S:  # a sensor at this very rate
-                return poses[-count:].copy()
-        ago = times - times[-1]
-        left = np.searchsorted(ago, self._grid + SNAP_S, side="right") - 1
-        left = np.clip(left, 0, len(ago) - 1)
-        right = np.minimum(left + 1, len(ago) - 1)
-        past = self._grid - ago[left]
-        step = np.where(right > left, ago[right] - ago[left], 1.0)
-        share = np.where(past > SNAP_S, past / step, 0.0)[:, None, None]
-        return np.asarray(poses[left] + share * (poses[right] - poses[left]))
-
     def _give_poses(self, first: int) -> Float[np.ndarray, "recent 20 3"]:
         return self._history.to_net(self._history.poses[first:])
 
     def _list_flags(
-        self, window: Float[np.ndarray, "15 20 3"], *, filled: bool, whole: bool
+        self,
+        window: Float[np.ndarray, "15 20 3"],
+        longest_s: float,
+        *,
+        filled: bool,
+        whole: bool,
     ) -> tuple[str, ...]:
         rules, times = self.rules.guard, self._history.times
-        oldest = int(np.searchsorted(times, times[-1] + self._grid[0] + SNAP_S, side="right")) - 1
-        within = times[max(oldest, 0) :]  # from the last frame at or before the window's start
         flags = {
             "filled_joints": filled,
             "low_confidence": self._unsure,
-            "gap": bool((within[1:] - within[:-1] > self.rules.neighbour_max_s + SNAP_S).any()),
+            "gap": longest_s > self.rules.neighbour_max_s + SNAP_S,
             "frozen_input": self._identical >= rules.frozen_poses,
             "implausible_pose": guard.moves_impossibly(
                 window, rate_hz=self.spec.rate_hz, rules=rules

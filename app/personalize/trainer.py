@@ -31,7 +31,7 @@ from models.familiarity import Familiarity
 from models.metrics import FRAMES
 from models.personal import PersonalDecoder
 from models.predictor import Predictor
-from models.runtime.pack import round_to_half
+from models.runtime.pack import round_matrices
 from models.training.finetune import FinetuneConfig, FinetuneProgress, blend, finetune
 from models.uncertainty import fit_scale
 
@@ -108,7 +108,7 @@ def train(lesson: Lesson, report: Report, *, config: FinetuneConfig | None = Non
     if scale is not None:
         described["radius_scale"] = metrics["radius_scale"] = round(scale, 4)
     decoder = blend(base.predictor.decoder, whole.decoder, ruling.share)
-    round_to_half(decoder)
+    round_matrices(decoder)
     blob = dump_personal(
         decoder,
         described,

@@ -5,10 +5,14 @@ SQLite gives one writer at a time: a write transaction says so at its beginning,
 reads first and then writes fails at once, whatever the timeout, when another wrote in between.
 """
 
-from collections.abc import AsyncIterator
+import asyncio
+import time
+from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
+from threading import Thread
 from typing import Any
+from weakref import WeakSet
 
 import structlog
 from sqlalchemy import Connection, event, text
@@ -30,6 +34,8 @@ from app.settings import Settings
 from app.storage.announcements import Announcements, read_announced
 
 SQLITE_FILE = "kinecast.sqlite3"
+LAST_S = 1.0
+"""Longest wait, when the pool is closed, for statements that were called off."""
 _WRITE = "kinecast_write"
 _DRIVERS = {
     "postgresql": "postgresql+psycopg",
@@ -83,6 +89,7 @@ class Database:
     ) -> None:
         self.url = url
         self.announcements = announcements or Announcements()
+        self._threads: WeakSet[Thread] = WeakSet()
         self.is_sqlite = url.get_backend_name() == "sqlite"
         options: dict[str, Any] = {"pool_size": pool, "max_overflow": 0, "pool_timeout": timeout_s}
         if self.is_sqlite:
@@ -92,6 +99,7 @@ class Database:
         self._engine = create_async_engine(url, **options)
         if self.is_sqlite:
             _control_transactions(self._engine, timeout_s=timeout_s)
+            _note_threads(self._engine, self._threads)
         self._readers = self._engine.execution_options(postgresql_readonly=not self.is_sqlite)
         self._writers = self._engine.execution_options(**{_WRITE: True})
 
@@ -165,9 +173,13 @@ class Database:
                 await (await driver.execute("PRAGMA wal_checkpoint(TRUNCATE)")).close()
 
     async def close(self) -> None:
-        """Close every connection."""
+        """Close every connection; one whose statement was called off may need a moment.
+
+        Its thread hands a last result to this loop, which must not have ended by then.
+        """
         await self.announcements.close()
         await self._engine.dispose()
+        await asyncio.to_thread(_join, tuple(self._threads))
 
     def _make_folder(self) -> None:
         """Make the folder of the file, for nobody else to read: the data are personal."""
@@ -214,6 +226,22 @@ def _postgres_options(url: URL, timeout_s: float) -> dict[str, Any]:
         "tcp_user_timeout": 10_000,  # milliseconds
     }
     return {name: value for name, value in options.items() if name not in url.query}
+
+
+def _note_threads(engine: AsyncEngine, threads: "WeakSet[Thread]") -> None:
+    """Remember the threads in which SQLite's connections live."""
+
+    @event.listens_for(engine.sync_engine, "connect")
+    def note(connection: Any, record: object) -> None:  # noqa: ANN401 - SQLAlchemy's adapter
+        del record
+        threads.add(connection.driver_connection._thread)  # noqa: SLF001 - aiosqlite tells it nowhere
+
+
+def _join(threads: Sequence[Thread]) -> None:
+    """Wait for threads to end, all in all no longer than is bearable at the end of a program."""
+    until = time.monotonic() + LAST_S
+    for thread in threads:
+        thread.join(max(0.0, until - time.monotonic()))
 
 
 def _control_transactions(engine: AsyncEngine, *, timeout_s: float) -> None:

@@ -61,16 +61,27 @@ def augment(
     windows: Float[Tensor, "batch time joint 3"], config: Augmentation, *, observe: int
 ) -> Float[Tensor, "batch time joint 3"]:
     """Apply every augmentation with fresh random numbers of torch's global generator."""
+    return augment_labelled(windows, windows.new_zeros(len(windows), 0), config, observe=observe)[0]
+
+
+def augment_labelled(
+    windows: Float[Tensor, "batch time joint 3"],
+    labels: Float[Tensor, "batch label"],
+    config: Augmentation,
+    *,
+    observe: int,
+) -> tuple[Float[Tensor, "batch time joint 3"], Float[Tensor, "batch label"]]:
+    """Apply every augmentation; where two windows are blended, so are their labels."""
     windows = _reverse(windows, config.reverse)
     windows = mirror(windows, chosen=_coin(windows, config.mirror))
     windows = _resize(windows, config)
-    windows = _mix(windows, config.mix, observe=observe)
+    windows, labels = _mix(windows, labels, config.mix, observe=observe)
     windows = _turn(windows, config)
     windows = _flicker(windows, config)
     offset = torch.randn(len(windows), 1, windows.shape[2], 3, device=windows.device)
     windows = windows + config.offset_m * offset
     windows = torch.where(_coin(windows, config.still), windows[:, :1], windows)
-    return _shake(windows, config, observe=observe)
+    return _shake(windows, config, observe=observe), labels
 
 
 def mirror(
@@ -114,17 +125,20 @@ def _resize(windows: Tensor, config: Augmentation) -> Tensor:
     return built
 
 
-def _mix(windows: Tensor, probability: float, *, observe: int) -> Tensor:
+def _mix(
+    windows: Tensor, labels: Tensor, probability: float, *, observe: int
+) -> tuple[Tensor, Tensor]:
     """Blend pairs of people: between two motions lies a motion, and nobody's habits."""
     if probability == 0.0:
-        return windows
+        return windows, labels
     observed = windows[:, :observe]
     centred = windows - observed[:, -1:, HIP_CENTER : HIP_CENTER + 1]
     placed = centred @ heading_rotation(observed).transpose(1, 2)[:, None]
-    partner = placed[torch.randperm(len(windows), device=windows.device)]
+    partner = torch.randperm(len(windows), device=windows.device)
     share = torch.rand(len(windows), 1, 1, 1, device=windows.device)
     share = torch.where(_coin(windows, probability), share, torch.zeros_like(share))
-    return placed + share * (partner - placed)
+    blended = placed + share * (placed[partner] - placed)
+    return blended, labels + share[:, 0, 0] * (labels[partner] - labels)
 
 
 def _turn(windows: Tensor, config: Augmentation) -> Tensor:

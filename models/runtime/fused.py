@@ -27,6 +27,8 @@ try:
     from models.runtime import _kernel  # type: ignore[attr-defined,no-redef]
 except ImportError:  # not built: no compiler when this was installed
     _kernel = None
+KERNEL = _kernel
+"""The module in `native/`, None where it could not be built."""
 
 PROCESSORS: dict[str, int] = dict(_kernel.processors) if _kernel is not None else {}
 """The kernels that run on this processor, the fastest first."""
@@ -60,10 +62,13 @@ class FusedForecast:
     Attributes:
         displacement: metres from the last observed pose, in the frame of the input.
         share: part of each row's personal decoder.
+        fastest: largest squared step of any joint from frame to frame, square metres; not a number
+            where a coordinate is none.
     """
 
     displacement: Float32[np.ndarray, "batch horizon joint 3"]
     share: Float32[np.ndarray, " batch"]
+    fastest: Float32[np.ndarray, " batch"]
 
 
 def find_packed(base: object) -> PackedBase | None:
@@ -98,7 +103,7 @@ def forecast_fused(
         raise RuntimeError("there is no kernel for this processor")
     count, _, joints, _ = windows.shape
     displacement = np.empty((count, base.horizon, joints, 3), np.float32)
-    share = np.empty(count, np.float32)
+    share, fastest = np.empty(count, np.float32), np.empty(count, np.float32)
     _kernel.forecast(
         PROCESSORS[processor or next(iter(PROCESSORS))],
         base.shape,
@@ -109,8 +114,9 @@ def forecast_fused(
         np.ascontiguousarray(windows, np.float64),
         displacement,
         share,
+        fastest,
     )
-    return FusedForecast(displacement, share)
+    return FusedForecast(displacement, share, fastest)
 
 
 def probe(processor: int, kind: int, block: np.ndarray, times: int) -> float:

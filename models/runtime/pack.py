@@ -1,12 +1,14 @@
 """Weights laid out for the kernel in `native/`: in the order in which it reads them.
 
 A matrix becomes tiles of 64 outputs; in each tile the 64 weights of one input after those of the
-one before, so that a product reads memory in one direction. Weights that half precision holds
-without loss are kept in half precision: they are half as many bytes to read in every frame.
+one before, so that a product reads memory in one direction. Weights that 16 bits hold without loss
+are kept in 16 bits: they are half as many bytes to read in every frame.
 """
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 import torch
@@ -36,6 +38,8 @@ MAX_JOINTS = 32
 _MAGIC = 0x4B494E45
 
 Packed = np.ndarray
+Kind = Literal["float32", "float16", "bfloat16"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,24 +78,33 @@ def pack_base(base: Predictor) -> PackedBase:
     )
 
 
-def pack_decoder(decoder: Decoder, *, half: bool | None = None) -> Packed:
+def pack_decoder(decoder: Decoder, *, kind: Kind | None = None) -> Packed:
     """Lay a decoder out.
 
     Args:
         decoder: one person's, or the base's.
-        half: whether matrices are kept in half precision; None: if that loses nothing.
+        kind: what its matrices are kept in; None: in the shortest that loses nothing.
     """
-    matrices = [matrix.detach().numpy() for matrix in _list_matrices(decoder)]
-    if half is None:
-        half = all(is_half(matrix) for matrix in matrices)
-    kind = np.float16 if half else np.float32
+    tiles = [matrix.detach().numpy() for matrix in _list_matrices(decoder)]
+    fine = [matrix.detach().numpy() for matrix in _list_fine_matrices(decoder)]
+    kind = kind or _find_kind([*tiles, *fine])
     vectors = np.concatenate([vector.detach().numpy() for vector in _list_vectors(decoder)])
     parts = [
-        struct.pack("<2i", _MAGIC, half).ljust(ALIGNMENT, b"\0"),
+        struct.pack("<2i", _MAGIC, KINDS.index(kind)).ljust(ALIGNMENT, b"\0"),
         vectors.astype(np.float32).tobytes(),
-        *(matrix.astype(kind).tobytes() for matrix in matrices),
+        *(_shorten(matrix, kind) for matrix in tiles),
+        *(
+            matrix.astype(np.float16 if kind == "float16" else np.float32).tobytes()
+            for matrix in fine
+        ),
     ]
     return _align(b"".join(parts))
+
+
+def find_packed_kind(packed: Packed) -> Kind:
+    """Tell what the matrices of a decoder that was laid out are kept in."""
+    _, number = struct.unpack_from("<2i", packed.data)
+    return KINDS[int(number)]
 
 
 def pack_gate(gate: Familiarity) -> Packed:
@@ -113,8 +126,8 @@ def pack_gate(gate: Familiarity) -> Packed:
 
 
 @torch.no_grad()
-def round_to_half(decoder: Decoder) -> None:
-    """Round a decoder's matrices to numbers that half precision holds, so that none is lost."""
+def round_matrices(decoder: Decoder) -> None:
+    """Round a decoder's matrices to bfloat16, so that nothing is lost when they are kept so."""
     tree, cell, attention = decoder.predict, decoder.cell, decoder.attention
     for matrix in (
         decoder.start.weight,
@@ -129,13 +142,35 @@ def round_to_half(decoder: Decoder) -> None:
         *tree.from_ancestors,
         tree.to_offset,
     ):
-        matrix.copy_(matrix.half().float())
+        matrix.copy_(matrix.bfloat16().float())
 
 
-def is_half(values: Float[np.ndarray, "..."]) -> bool:
-    """Tell whether half precision holds these numbers without loss."""
+def _find_kind(matrices: Sequence[Float[np.ndarray, "..."]]) -> Kind:
+    """Find the shortest kind of numbers that holds all of these without loss."""
+    if all(_is_brief(matrix) for matrix in matrices):
+        return "bfloat16"
+    return "float16" if all(_is_half(matrix) for matrix in matrices) else "float32"
+
+
+def _is_half(values: Float[np.ndarray, "..."]) -> bool:
     with np.errstate(over="ignore"):
         return bool((values.astype(np.float16).astype(np.float32) == values).all())
+
+
+def _is_brief(values: Float[np.ndarray, "..."]) -> bool:
+    return not (values.view(np.uint32) & 0xFFFF).any()
+
+
+def _shorten(tiles: Float[np.ndarray, " weight"], kind: Kind) -> bytes:
+    """Write matrices that are laid out in tiles as another kind of numbers.
+
+    In bfloat16 weights of outputs that are 16 apart share a word, so that a shift makes floats of
+    the ones, and a mask of the others.
+    """
+    if kind == "bfloat16":
+        rounded = torch.from_numpy(tiles).bfloat16().view(torch.int16).numpy()
+        return rounded.reshape(-1, 2, 16).transpose(0, 2, 1).tobytes()
+    return tiles.astype(kind).tobytes()
 
 
 def _pack_shape(base: Predictor) -> bytes:
@@ -223,6 +258,13 @@ def _list_matrices(decoder: Decoder) -> list[Tensor]:
         _tile(given),
         _tile(cell.weight_hh),
         _tile(tree.from_state.weight),
+    ]
+
+
+def _list_fine_matrices(decoder: Decoder) -> list[Tensor]:
+    """List the small matrices of the single joints, which are no tiles."""
+    tree = decoder.predict
+    return [
         *(level.flatten() for level in tree.from_ancestors),
         tree.to_offset.transpose(1, 2).contiguous().flatten(),
     ]

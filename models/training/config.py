@@ -21,6 +21,9 @@ class PretrainConfig:
         weight_decay: AdamW's.
         clip: largest norm of the gradient.
         average: decay of the exponential moving average of the weights, which is what is kept.
+        symmetric: keep the weights symmetric, so that mirrored people get mirrored forecasts.
+        label_weight: weight of the cross-entropy between the categorical latent and the actions.
+        label_source: the source whose actions the categories are taught; others have no labels.
         adversarial_weight: weight of the encoder's side of the min-max game; 0 switches it off.
         adversarial_start: share of the steps before the game begins, so that the reconstruction has
             settled; the weight then rises linearly over as many steps again.
@@ -42,6 +45,9 @@ class PretrainConfig:
     weight_decay: float = 5e-2
     clip: float = 1.0
     average: float = 0.998
+    symmetric: bool = True
+    label_weight: float = 0.02
+    label_source: str = "utd-mhad"
     adversarial_weight: float = 1e-3
     adversarial_start: float = 0.1
     adversary_rate: float = 5e-4

@@ -16,12 +16,13 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from models.checkpoint import parse_state, write_state
-from models.data.augment import Augmentation, augment
+from models.data.augment import Augmentation, augment_labelled
 from models.latent import Adversary
-from models.losses import reconstruction_loss
+from models.losses import label_loss, reconstruction_loss
 from models.predictor import Predictor
+from models.symmetry import Symmetry
 from models.training.config import PretrainConfig
-from models.training.sampler import WindowSampler
+from models.training.sampler import Drawn, WindowSampler
 
 _GRADIENT_NORM_OF_ADVERSARY = 5.0
 
@@ -39,11 +40,19 @@ class Progress:
 
 
 class Trainer:
-    """Phase 1 of the paper: reconstruction and the adversarial game, with averaged weights."""
+    """Phase 1 of the paper: reconstruction and the adversarial game, with averaged weights.
+
+    Raises:
+        ValueError: the sampler labels windows with more actions than the net has categories.
+    """
 
     def __init__(
         self, config: PretrainConfig, sampler: WindowSampler, *, device: torch.device
     ) -> None:
+        if len(sampler.labels) > config.net.categories:
+            raise ValueError(
+                f"{len(sampler.labels)} actions do not fit into {config.net.categories} categories"
+            )
         torch.manual_seed(config.seed)
         self.config = config
         self.sampler = sampler
@@ -51,6 +60,9 @@ class Trainer:
         self.net = Predictor(config=config.net)
         self.net.normalizer.fit(self._observed(_fitting_windows(sampler, config)))
         self.net.to(device)
+        self.symmetry = Symmetry(self.net) if config.symmetric else None
+        if self.symmetry is not None:
+            self.symmetry.impose(self.net, is_fresh=True)
         self.average = Predictor(config=config.net).to(device)
         self.average.load_state_dict(self.net.state_dict())
         self.adversary = Adversary(
@@ -71,14 +83,17 @@ class Trainer:
         """Take one optimisation step; give the reconstruction's and the discriminators' loss."""
         self.net.train()
         spec = self.net.spec
-        windows = draw_augmented(self.sampler, self.config.augmentation, observe=spec.observe)
+        drawn = draw_augmented(self.sampler, self.config.augmentation, observe=spec.observe)
+        windows = drawn.windows
         observed, future = windows[:, : spec.observe], windows[:, spec.observe :]
         encoded = self.net.encode(observed)
         loss = reconstruction_loss(self.net.decode(encoded, observed), future)
         weight = self.config.adversarial_weight_at(self.step)
         total = loss
+        if self.config.label_weight > 0:
+            total = total + self.config.label_weight * label_loss(encoded.c, drawn.labels)
         if weight > 0:
-            total = loss + weight * self.adversary.encoder_loss(encoded.z, encoded.c)
+            total = total + weight * self.adversary.encoder_loss(encoded.z, encoded.c)
         self._descend(total)
         fooled = self._train_adversary(encoded.z, encoded.c) if weight > 0 else 0.0
         self.step += 1
@@ -89,6 +104,8 @@ class Trainer:
             group["lr"] = self.config.rate_at(self.step)
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
+        if self.symmetry is not None:
+            self.symmetry.impose_on_gradients(self.net)
         nn.utils.clip_grad_norm_(self.net.parameters(), self.config.clip)
         self.optimizer.step()
         keep = min(self.config.average, (1 + self.step) / (10 + self.step))
@@ -188,16 +205,19 @@ def train(
     return trainer.average.eval()
 
 
-def draw_augmented(
-    sampler: WindowSampler, augmentation: Augmentation, *, observe: int
-) -> Float[Tensor, "batch time joint 3"]:
+def draw_augmented(sampler: WindowSampler, augmentation: Augmentation, *, observe: int) -> Drawn:
     """Draw a batch and augment each pool by itself, so that only people of one are blended."""
-    return torch.cat([augment(part, augmentation, observe=observe) for part in sampler.draw()])
+    parts = [
+        augment_labelled(part.windows, part.labels, augmentation, observe=observe)
+        for part in sampler.draw()
+    ]
+    windows, labels = zip(*parts, strict=True)
+    return Drawn(torch.cat(windows), torch.cat(labels))
 
 
 def _fitting_windows(sampler: WindowSampler, config: PretrainConfig) -> Tensor:
     draws = [draw_augmented(sampler, config.augmentation, observe=sampler.length) for _ in range(8)]
-    return torch.cat(draws).cpu()
+    return torch.cat([drawn.windows for drawn in draws]).cpu()
 
 
 def _under(tensors: dict[str, Tensor], name: str) -> dict[str, Tensor]:

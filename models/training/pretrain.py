@@ -20,7 +20,7 @@ from models.predictor import Predictor, forecast_in_batches
 from models.spec import MotionSpec
 from models.training.config import PretrainConfig
 from models.training.loop import Progress, Trainer, train
-from models.training.sampler import WindowSampler
+from models.training.sampler import WindowSampler, list_actions
 
 _VALIDATION_WINDOWS = 4_000
 
@@ -70,6 +70,7 @@ def pretrain(
             tempo=config.augmentation.tempo,
             slow=config.augmentation.slow,
             device=device,
+            labels=list_actions(split.train, config.label_source),
         )
         trainer = Trainer(config, sampler, device=device)
         windows = _validation_windows(split.held_out, spec)

@@ -1,11 +1,12 @@
 """Draws training windows: by source in fixed shares, uniformly within a source, at varied tempo."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
+from torch.nn import functional
 
 from models.data.clips import Clip
 
@@ -13,12 +14,33 @@ _VARIED = 0.5
 
 
 @dataclass(frozen=True, slots=True)
+class Drawn:
+    """The windows of one pool in a batch, and what they show.
+
+    Attributes:
+        windows: observed and future frames, metres.
+        labels: 1 for the action of a window, 0 for the others; all 0 where nobody named it.
+    """
+
+    windows: Float[Tensor, "batch time joint 3"]
+    labels: Float[Tensor, "batch action"]
+
+
+@dataclass(frozen=True, slots=True)
 class _Group:
-    """All windows of one source: where each begins, and how many frames its clip has from there."""
+    """All windows of one source.
+
+    Attributes:
+        share: windows of it in a batch.
+        starts: where each window begins.
+        room: frames that its clip has from there.
+        action: place of its action among the labels; -1 for none.
+    """
 
     share: int
     starts: Int[Tensor, " windows"]
     room: Int[Tensor, " windows"]
+    action: Int[Tensor, " windows"]
 
 
 class WindowSampler:
@@ -34,6 +56,7 @@ class WindowSampler:
             allows; the others keep their frames as the sensor gave them, noise and all.
         slow: probability of a speed anywhere between 0 and 1 instead, so that no pose by itself
             means that motion must follow.
+        labels: the actions, as (source, action), that windows are labelled with.
         device: where the frames are kept.
 
     Raises:
@@ -51,6 +74,7 @@ class WindowSampler:
         tempo: float,
         slow: float,
         device: torch.device,
+        labels: Sequence[tuple[str, str]] = (),
     ) -> None:
         usable = [clip for clip in clips if len(clip.poses) >= length]
         if not usable:
@@ -58,20 +82,22 @@ class WindowSampler:
         self.length = length
         self.tempo = tempo
         self.slow = slow
+        self.labels = tuple(labels)
         self.frames = torch.cat([torch.as_tensor(clip.poses) for clip in usable]).to(device)
         counts = _windows_by_source(usable, batch=batch, shares=shares)
         self.groups = {
-            source: _group(usable, source, count, length) for source, count in counts.items()
+            source: _group(usable, source, count, length, self.labels)
+            for source, count in counts.items()
         }
         self.parts = _join(list(self.groups), pools)
 
-    def draw(self) -> list[Float[Tensor, "_ time joint 3"]]:
+    def draw(self) -> list[Drawn]:
         """Draw one batch with torch's global generator, each pool of sources by itself."""
         return [
-            torch.cat([self._draw(self.groups[source]) for source in part]) for part in self.parts
+            _put_together(self._draw(self.groups[source]) for source in part) for part in self.parts
         ]
 
-    def _draw(self, group: _Group) -> Float[Tensor, "share time joint 3"]:
+    def _draw(self, group: _Group) -> Drawn:
         device = self.frames.device
         chosen = torch.randint(len(group.starts), (group.share,)).to(device)
         start, room = group.starts[chosen], group.room[chosen]
@@ -85,7 +111,19 @@ class WindowSampler:
         after = torch.minimum(before + 1, (room - 1)[:, None])
         part = (at - before)[..., None, None]
         first, second = self.frames[start[:, None] + before], self.frames[start[:, None] + after]
-        return first + part * (second - first)
+        labels = functional.one_hot(group.action[chosen] + 1, len(self.labels) + 1)[:, 1:]
+        return Drawn(first + part * (second - first), labels.float())
+
+
+def list_actions(clips: Iterable[Clip], source: str) -> list[tuple[str, str]]:
+    """Name the actions of a source as labels, in a fixed order: (source, action)."""
+    found = {clip.action for clip in clips if clip.source == source and clip.action}
+    return [(source, action) for action in sorted(found, key=lambda name: (len(name), name))]
+
+
+def _put_together(parts: Iterable[Drawn]) -> Drawn:
+    windows, labels = zip(*((part.windows, part.labels) for part in parts), strict=True)
+    return Drawn(torch.cat(windows), torch.cat(labels))
 
 
 def _windows_by_source(
@@ -112,13 +150,21 @@ def _join(sources: Sequence[str], pools: Collection[Collection[str]]) -> list[li
     return [part for part in joined if part] + alone
 
 
-def _group(clips: Sequence[Clip], source: str, share: int, length: int) -> _Group:
-    starts, rooms, offset = [], [], 0
+def _group(
+    clips: Sequence[Clip],
+    source: str,
+    share: int,
+    length: int,
+    labels: Sequence[tuple[str, str]],
+) -> _Group:
+    place = {label: index for index, label in enumerate(labels)}
+    starts, rooms, actions, offset = [], [], [], 0
     for clip in clips:
         frames = len(clip.poses)
         if clip.source == source:
             first = torch.arange(frames - length + 1)
             starts.append(offset + first)
             rooms.append(frames - first)
+            actions.append(torch.full_like(first, place.get((source, clip.action), -1)))
         offset += frames
-    return _Group(share, torch.cat(starts), torch.cat(rooms))
+    return _Group(share, torch.cat(starts), torch.cat(rooms), torch.cat(actions))

@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 import pytest
 import websockets
+from websockets.frames import Frame, Opcode
 
 from app.commands.client.errors import ClosedError
 from app.commands.client.messages import JSON, MSGPACK, Error, Forecast, Message, Other, Pong
@@ -300,15 +301,21 @@ async def test_a_missing_key_ends_the_stream_after_a_while(served, user) -> None
     assert (closed.value.close_code, closed.value.code) == (4401, "unauthorized")
 
 
-async def _flood(client: websockets.ClientConnection) -> None:
+async def _read_all(client: websockets.ClientConnection) -> None:
+    while True:
+        await client.recv()
+
+
+async def _flood(client: websockets.ClientConnection, kind: str) -> None:
     for _ in range(2000):
-        await client.ping()
+        await getattr(client, kind)()
     await asyncio.wait_for(client.wait_closed(), 10)
     await client.ping()
 
 
 @pytest.mark.asyncio
-async def test_a_flood_of_pings_is_cut_off_and_a_few_are_answered(served, user) -> None:
+@pytest.mark.parametrize("kind", ["ping", "pong"])
+async def test_a_flood_of_pings_is_cut_off_and_a_few_are_answered(served, user, kind) -> None:
     async with websockets.connect(
         find_stream_url(served.url, user),
         subprotocols=[websockets.Subprotocol(JSON)],
@@ -317,7 +324,23 @@ async def test_a_flood_of_pings_is_cut_off_and_a_few_are_answered(served, user) 
     ) as client:
         await asyncio.wait_for(await client.ping(), 5)
         with pytest.raises(websockets.ConnectionClosed) as caught:
-            await _flood(client)
+            await _flood(client, kind)
+    assert caught.value.rcvd is not None
+    assert caught.value.rcvd.code == 4429
+
+
+@pytest.mark.asyncio
+async def test_thousands_of_messages_in_one_read_are_too_many(served, user) -> None:
+    async with websockets.connect(
+        find_stream_url(served.url, user),
+        subprotocols=[websockets.Subprotocol(JSON)],
+        additional_headers={"Authorization": f"Bearer {served.key}"},
+        proxy=None,
+    ) as client:
+        await client.recv()
+        client.transport.write(Frame(Opcode.PONG, b"").serialize(mask=True) * 5000)
+        with pytest.raises(websockets.ConnectionClosed) as caught:
+            await asyncio.wait_for(_read_all(client), 10)
     assert caught.value.rcvd is not None
     assert caught.value.rcvd.code == 4429
 

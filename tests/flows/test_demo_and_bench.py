@@ -10,6 +10,7 @@ import pytest
 from app.commands.own_server import run_own_server
 from app.settings import CLIENT_KEY_VARIABLE, make_environment
 from models.runtime.fused import PROCESSORS
+from models.runtime.pack import KINDS
 from tests.flows.conftest import add_key, call
 
 
@@ -112,9 +113,41 @@ def test_bench_stream_accounts_for_every_frame() -> None:
     assert frames["unanswered"] == 0
     assert measured["latency_ms"]["p50"] > measured["server_ms"]["compute"]["p50"] > 0
     assert 0 <= measured["within_33_ms"] <= 1
-    assert measured["without_pauses"]["latency_ms"]["count"] == (
-        measured["latency_ms"]["count"] - measured["without_pauses"]["excluded"]
-    )
+    usage = measured["usage"]
+    assert 0 < usage["generator"]["us_per_forecast"] < usage["server"]["us_per_forecast"]
+    assert usage["server_memory_mib"]["end"] > 50
+    assert measured["fairness"]["worst_user_answered"] <= 1
+    clean = measured["without_pauses"]
+    assert clean["due"] + clean["excluded"] == measured["due"] <= frames["sent"]
+    assert clean["latency_ms"]["count"] <= measured["latency_ms"]["count"] == frames["measured"]
+
+
+def test_bench_stream_gives_a_curve() -> None:
+    arguments = ["--users", "3,1", "--seconds", "1", "--repeats", "1", "--base"]
+    report = json.loads(run("bench", "stream", *arguments, "--json")[0])
+    assert [row["users"] for row in report["curve"]] == [1, 3]
+    assert [load["runs"][0]["frames"]["sent"] for load in report["loads"]] == [60, 180]
+    assert report["largest"]["users"] in {None, 1, 3}
+    assert report["decoders"] == "base"
+    _, complained = run("bench", "stream", "--users", "0", status=2)
+    assert "1,8,32" in complained
+
+
+def test_bench_stream_goes_on_while_much_else_happens() -> None:
+    arguments = ["--users", "4", "--seconds", "5", "--repeats", "1", "--json"]
+    told, _ = run("bench", "stream", *arguments, "--with", "swaps,churn,slow,finetune")
+    report = json.loads(told)
+    (measured,) = report["runs"]
+    assert report["with"] == ["churn", "finetune", "slow", "swaps"]
+    assert measured["disturbances"]["promotions"] >= 1
+    assert measured["disturbances"]["jobs_begun"] >= 1
+    assert measured["clients"]["version_changes"] >= 1
+    assert measured["clients"]["came_back"] >= 1
+    assert measured["slow_readers"]["streams"] == 1
+    assert measured["slow_readers"]["latency_ms"]["max"] > 500
+    assert measured["frames"]["sent"] < 4 * 180
+    for wrong in (["--with", "storms"], ["--with", "swaps", "--base"]):
+        run("bench", "stream", *wrong, status=2)
 
 
 def test_bench_stream_measures_a_running_service_and_leaves_no_users(served) -> None:
@@ -138,10 +171,33 @@ def test_bench_finetune_times_whole_runs(monkeypatch: pytest.MonkeyPatch) -> Non
     assert report["bytes_per_version"] > 5e5
 
 
+def test_bench_memory_fills_the_cache_step_by_step() -> None:
+    arguments = ["--decoders", "4,40", "--active", "4", "--rounds", "2", "--users", "3", "--json"]
+    report = json.loads(run("bench", "memory", *arguments)[0])
+    assert [row["decoders"] for row in report["rows"]] == [4, 40]
+    assert all(row["us_per_forecast"]["count"] == 8 for row in report["rows"])
+    assert 0.3 < report["mib_per_decoder"] < 5
+    assert 0 < report["slowdown"] < 10
+    assert report["connected_users"]["service_mib"] > 50
+    for wrong in (["--decoders", "4"], ["--users", "1"]):
+        run("bench", "memory", *wrong, status=2)
+
+
+def test_bench_start_times_starts_and_first_forecasts() -> None:
+    report = json.loads(run("bench", "start", "--starts", "1", "--users", "2", "--json")[0])
+    assert report["ready_s"]["count"] == 1
+    assert report["ready_s"]["p50"] > 0.2
+    for name in ("first_forecast_ms", "second_forecast_ms", "first_of_stream_ms"):
+        assert report[name]["count"] == 2
+        assert report[name]["p50"] > 0
+    told, _ = run("bench", "start", "--starts", "1", "--users", "1")
+    assert "cold user over HTTP" in told
+
+
 def test_bench_forecast_compares_every_way_and_the_floor() -> None:
     told, _ = run("bench", "forecast", "--users", "1,4", "--repeats", "5", "--json")
     report = json.loads(told)
-    kernels = [f"{name} {kind}" for name in PROCESSORS for kind in ("float32", "float16")]
+    kernels = [f"{name} {kind}" for name in PROCESSORS for kind in KINDS]
     ways = ["eager", "torch", *kernels]
     rows = report["rows"]
     assert [(row["users"], row["way"]) for row in rows] == [(n, w) for n in (1, 4) for w in ways]

@@ -1,15 +1,21 @@
 """The commands of `kinecast bench`."""
 
 import json
-from typing import Annotated, Any, Literal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
-from rich.table import Table
 
+from app.commands.bench import tables
 from app.commands.client.errors import ClientError
 from app.commands.output import err, fail, out
-from app.commands.target import Target, find_target
+from app.commands.target import find_target
 from app.settings import load_settings
+
+if TYPE_CHECKING:
+    from app.commands.bench.scenarios import Scenario
+    from app.commands.bench.stream import Subject
 
 app = typer.Typer(
     help="Measure the service, or the forecaster alone; figures as JSON.",
@@ -19,18 +25,36 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
+_TABLE_WIDTH = 130
+"""Tables keep this width, and are cut into lines by terminals that have less."""
+
+_TABLE_WIDTH = 130
+"""Tables keep this width, and are cut into lines by terminals that have less."""
+
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 
 
 @app.command("stream")
 def stream_command(
     *,
-    users: Annotated[int, typer.Option(min=1, max=1000, help="Streams at the same time.")] = 1,
+    users: Annotated[
+        str, typer.Option(help="Streams at the same time; several numbers give a curve.")
+    ] = "1",
     seconds: Annotated[float, typer.Option(min=1.0, help="Length of each run.")] = 20.0,
-    repeats: Annotated[int, typer.Option(min=1, max=100, help="Runs.")] = 3,
+    repeats: Annotated[int, typer.Option(min=1, max=100, help="Runs of each number.")] = 3,
     form: Annotated[
         Literal["msgpack", "json"], typer.Option("--format", help="What the streams speak.")
     ] = "msgpack",
+    scenarios: Annotated[
+        str,
+        typer.Option(
+            "--with",
+            help="What happens besides, such as swaps,churn: any of swaps (every user's version "
+            "changes each 10 s), churn (each second 5 % of the users leave and come back), slow "
+            "(10 % of the clients read slowly), finetune (a job runs all the time).",
+            show_default=False,
+        ),
+    ] = "",
     base: Annotated[bool, typer.Option("--base", help="Let the base answer everybody.")] = False,
     url: Annotated[
         str | None, typer.Option(help="A running service, in place of one of its own.")
@@ -45,31 +69,50 @@ def stream_command(
     The service runs in a process of its own, on SQLite in a folder that is thrown away, and every
     user has a decoder of their own. Frames that
     are skipped, refused or never answered count as missed. Pauses of the machine itself are
-    reported, and the figures are given with and without the forecasts that met one.
+    reported, and the figures are given with and without the frames that met one.
+
+    With several numbers of users, such as 1,8,32,64, it also tells the largest one at which at
+    most 0.1 % of the frames were missed.
     """
-    from app.commands.bench.stream import (  # noqa: PLC0415
-        Settle,
-        StreamPlan,
-        measure_stream,
-        own_target,
+    from app.commands.bench.stream import StreamPlan, measure_stream  # noqa: PLC0415
+
+    plan = StreamPlan(
+        users=read_numbers(users, most=1000),
+        seconds=seconds,
+        repeats=repeats,
+        form=form,
+        scenarios=_read_scenarios(scenarios, can_swap=url is None and not base),
     )
+    found = _find_subject(max(plan.users), base=base, url=url, key=key)
+    with err.status("starting") as status, found as subject:
+        report = measure_stream(plan, subject, progress=status.update)
+    _print(report, as_json=as_json, table=tables.tabulate_stream)
+
+
+@contextmanager
+def _find_subject(
+    users: int, *, base: bool, url: str | None, key: str | None
+) -> Iterator["Subject"]:
+    """Give the service to measure; says in one line what goes wrong, and exits."""
+    from app.commands.bench.stream import Subject, own_subject  # noqa: PLC0415 - slow to import
+
+    with _failing_in_one_line():
+        if url is not None:
+            yield Subject(find_target(url=url, key=key))
+            return
+        with own_subject(users, base=base) as subject:
+            yield subject
+
+
+@contextmanager
+def _failing_in_one_line() -> Iterator[None]:
+    """Say in one line what goes wrong with a service, and exit."""
     from app.commands.own_server import OwnServerError  # noqa: PLC0415 - slow to import
 
-    plan = StreamPlan(users=users, seconds=seconds, repeats=repeats, form=form)
-
-    def measure(target: Target, settle: Settle | None) -> dict[str, Any]:
-        with err.status(f"{repeats} runs of {seconds:g} s with {users} streams"):
-            return measure_stream(plan, target, settle=settle)
-
     try:
-        if url is None:
-            with own_target(users) as (target, settle):
-                report = measure(target, None if base else settle)
-        else:
-            report = measure(find_target(url=url, key=key), None)
+        yield
     except (ClientError, OwnServerError, TimeoutError) as error:
         fail(str(error) or "The measurement took too long.", status=1)
-    _print(report, as_json=as_json, table=_tabulate_stream)
 
 
 @app.command("forecast")
@@ -89,7 +132,7 @@ def forecast_command(
 
     settings = load_settings()
     plan = ForecastPlan(
-        users=_read_numbers(users),
+        users=read_numbers(users, most=4096),
         repeats=repeats,
         seconds=seconds,
         threads=settings.engine_threads,
@@ -97,7 +140,7 @@ def forecast_command(
     )
     with err.status("forecasting"):
         report = measure_forecast(plan)
-    _print(report, as_json=as_json, table=_tabulate_forecast)
+    _print(report, as_json=as_json, table=tables.tabulate_forecast)
 
 
 @app.command("finetune")
@@ -122,93 +165,94 @@ def finetune_command(
     )
     with err.status(f"fine-tuning {users} decoders"):
         report = measure_finetune(plan)
-    _print(report, as_json=as_json, table=_tabulate_finetune)
+    _print(report, as_json=as_json, table=tables.tabulate_finetune)
 
 
-def _read_numbers(text: str) -> list[int]:
+@app.command("memory")
+def memory_command(
+    *,
+    decoders: Annotated[
+        str, typer.Option(help="Numbers of cached decoders, about 0.7 MB each.")
+    ] = "100,1000,5000",
+    active: Annotated[int, typer.Option(min=1, help="How many of them forecast.")] = 100,
+    rounds: Annotated[int, typer.Option(min=1, help="Forecasts of each of those.")] = 30,
+    users: Annotated[
+        int, typer.Option(min=0, max=1000, help="Streams for the memory of a user; 0 for none.")
+    ] = 100,
+    as_json: AsJson = False,
+) -> None:
+    """Measure the memory of a connected user and of a cached decoder, and whether many are slower.
+
+    Decoders are built in this process, as the service does it. A user's memory is what a service
+    of its own grows by between one stream and many, each user's decoder included.
+    """
+    from app.commands.bench.memory import MemoryPlan, measure_memory  # noqa: PLC0415
+
+    numbers = read_numbers(decoders, most=100_000, option="--decoders")
+    if numbers[0] < active:
+        fail(f"--decoders {decoders}: {active} forecast, so there are no fewer.", status=2)
+    if users == 1:
+        fail("--users 1: it takes two to tell what one more takes.", status=2)
+    plan = MemoryPlan(
+        decoders=numbers,
+        active=active,
+        rounds=rounds,
+        users=users,
+        model=load_settings().model,
+    )
+    with _failing_in_one_line(), err.status("starting") as status:
+        report = measure_memory(plan, progress=status.update)
+    _print(report, as_json=as_json, table=tables.tabulate_memory)
+
+
+@app.command("start")
+def start_command(
+    *,
+    starts: Annotated[int, typer.Option(min=1, max=100, help="Starts of the service.")] = 5,
+    users: Annotated[
+        int, typer.Option(min=1, max=500, help="People who ask in each, in each of two ways.")
+    ] = 20,
+    as_json: AsJson = False,
+) -> None:
+    """Time the start of a service, and the first forecast of people whose decoders it has not.
+
+    The database is there already and has everybody's version. Half of the people ask over HTTP,
+    the others open a stream and send half a second of frames at once.
+    """
+    from app.commands.bench.start import StartPlan, measure_start  # noqa: PLC0415
+
+    with _failing_in_one_line(), err.status("starting") as status:
+        report = measure_start(StartPlan(starts=starts, users=users), progress=status.update)
+    _print(report, as_json=as_json, table=tables.tabulate_start)
+
+
+def _read_scenarios(text: str, *, can_swap: bool) -> frozenset["Scenario"]:
+    """Read what is to happen besides; says in one line what is wrong with it, and exits."""
+    from app.commands.bench.scenarios import Scenario, read_scenarios  # noqa: PLC0415
+
+    try:
+        scenarios = read_scenarios(text)
+    except ValueError:
+        fail(f"--with {text}: choose of {', '.join(Scenario)}.", status=2)
+    if Scenario.SWAPS in scenarios and not can_swap:
+        fail("--with swaps needs the versions of a service of its own.", status=2)
+    return scenarios
+
+
+def read_numbers(text: str, *, most: int, option: str = "--users") -> list[int]:
+    """Read numbers of people; says in one line what is wrong with them, and exits."""
     try:
         numbers = [int(part) for part in text.split(",")]
     except ValueError:
         numbers = []
-    if not numbers or min(numbers) < 1 or max(numbers) > 4096:
-        fail(f"--users {text}: write numbers from 1 to 4096, such as 1,8,32.", status=2)
-    return numbers
+    if not numbers or min(numbers) < 1 or max(numbers) > most:
+        fail(f"{option} {text}: write numbers from 1 to {most}, such as 1,8,32.", status=2)
+    return sorted(set(numbers))
 
 
 def _print(report: dict[str, Any], *, as_json: bool, table: Any) -> None:  # noqa: ANN401 - a function
     if as_json:
         typer.echo(json.dumps(report, indent=2))
     else:
+        out.width = max(out.width, _TABLE_WIDTH)
         out.print(table(report))
-
-
-def _tabulate_stream(report: dict[str, Any]) -> Table:
-    streams = "1 stream" if report["users"] == 1 else f"{report['users']} streams"
-    table = Table(
-        "run", "p50", "p99", "p99.9", "max ms", "in time", "missed", "skipped", "lost", "| pauses",
-        "p99", "in time",
-        title=f"{streams} at 30 Hz for {report['seconds']:g} s, {report['format']}",
-        caption="in time: within 33 ms · right of the bar: without the machine's own pauses",
-        box=None, pad_edge=False, collapse_padding=True,
-    )  # fmt: skip
-    for number, run in enumerate(report["runs"], start=1):
-        latency, clean = run["latency_ms"], run["without_pauses"]
-        table.add_row(
-            str(number),
-            *(_milliseconds(latency[name]) for name in ("p50", "p99", "p99_9", "max")),
-            _percent(run["within_33_ms"]),
-            str(run["misses"]),
-            str(run["frames"]["skipped"]),
-            str(run["frames"]["unanswered"]),
-            f"| {run['host']['pauses']}",
-            _milliseconds(clean["latency_ms"]["p99"]),
-            _percent(clean["within_33_ms"]),
-        )
-    return table
-
-
-def _tabulate_forecast(report: dict[str, Any]) -> Table:
-    table = Table(
-        "people", "way", "forecasts/s", "µs each, median", "p99", "eager", "floor µs", "floor",
-        title=f"{report['threads']} thread, {report['cores']} cores", box=None, pad_edge=False,
-    )  # fmt: skip
-    for row in report["rows"]:
-        each = row["us_per_forecast"]
-        table.add_row(
-            str(row["users"]),
-            row["way"],
-            str(row["forecasts_per_s"]),
-            f"{each['median']:.0f}",
-            f"{each['p99']:.0f}",
-            f"{row['times_eager']:.1f} x faster",
-            "" if row["floor_us"] is None else f"{row['floor_us']:.0f}",
-            "" if row["times_floor"] is None else f"{row['times_floor']:.1f} x",
-        )
-    return table
-
-
-def _tabulate_finetune(report: dict[str, Any]) -> Table:
-    table = Table(
-        "people", "clips", "steps", "seconds, median", "max", "ms per step", "peak MB", "KB each",
-        title=f"{report['threads']} thread, {report['cores']} cores", box=None, pad_edge=False,
-    )  # fmt: skip
-    seconds = report["seconds"]
-    table.add_row(
-        str(report["users"]),
-        str(report["clips"]),
-        str(report["steps"]),
-        f"{seconds['p50']:.1f}",
-        f"{seconds['max']:.1f}",
-        f"{report['ms_per_step']:.1f}",
-        str(report["peak_memory_mb"]),
-        str(report["bytes_per_version"] // 1000),
-    )
-    return table
-
-
-def _percent(share: float | None) -> str:
-    return "-" if share is None else f"{share:.1%}"
-
-
-def _milliseconds(value: float | None) -> str:
-    return "-" if value is None else f"{value:.1f}"

@@ -12,10 +12,12 @@ import numpy as np
 
 from models.runtime import fused
 from models.runtime.fused import PROCESSORS
-from models.runtime.pack import ROWS, PackedBase
+from models.runtime.pack import KINDS, ROWS, Kind, PackedBase
 
 TRIES = 15
-_FULL, _HALF, _CALCULATE = 0, 1, 2
+WIDTHS: dict[str, int] = {"float32": 4, "float16": 2, "bfloat16": 2}
+"""Bytes of a number."""
+_CALCULATE = len(KINDS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,13 +25,12 @@ class Rates:
     """What a processor does at best.
 
     Attributes:
-        full_gb_s: bytes read from a block as large as a decoder, in single precision.
-        half_gb_s: the same in half precision, widened on the way.
+        gb_s: bytes read from a block as large as a decoder, and made floats on the way, by the kind
+            of numbers.
         gflop_s: operations in single precision.
     """
 
-    full_gb_s: float
-    half_gb_s: float
+    gb_s: dict[str, float]
     gflop_s: float
 
 
@@ -55,12 +56,13 @@ class Floor:
         rates = self.rates.get(processor)
         if rates is None:
             return None
-        read = self.encoder_bytes * self.observe / rates.full_gb_s / 1e3
+        read = self.encoder_bytes * self.observe / rates.gb_s["float32"] / 1e3
         done = self.encoder_bytes / 2 * self.observe / rates.gflop_s / 1e3
         encoder = read if users < ROWS else max(done, read / ROWS)
-        half = kind == "float16"
-        speed, share = (rates.half_gb_s, 0.5) if half else (rates.full_gb_s, 1.0)
-        return encoder + share * self.decoder_bytes * self.horizon / speed / 1e3
+        size = self.decoder_bytes * WIDTHS[kind] / WIDTHS["float32"]
+        read = size * self.horizon / rates.gb_s[kind] / 1e3
+        done = self.decoder_bytes / 2 * self.horizon / rates.gflop_s / 1e3
+        return encoder + max(done, read)
 
     def as_json(self) -> dict[str, Any]:
         """Give the figures for a report."""
@@ -71,9 +73,8 @@ def measure_floor(base: PackedBase) -> Floor:
     """Measure what this processor reads and calculates at best."""
     rates = {
         name: Rates(
-            full_gb_s=_measure(number, _FULL, base.decoder.nbytes),
-            half_gb_s=_measure(number, _HALF, base.decoder.nbytes // 2),
-            gflop_s=_measure(number, _CALCULATE, 64),
+            gb_s={kind: _measure_reading(number, kind, base.decoder.nbytes) for kind in KINDS},
+            gflop_s=_measure(number, _CALCULATE, 64, 200_000),
         )
         for name, number in PROCESSORS.items()
     }
@@ -86,14 +87,18 @@ def measure_floor(base: PackedBase) -> Floor:
     )
 
 
-def _measure(processor: int, kind: int, size: int) -> float:
-    """Give billions of bytes read, or of operations done, in a second: the median of some tries."""
+def _measure_reading(processor: int, kind: Kind, full: int) -> float:
+    """Give billions of bytes that are read in a second from a block as large as a decoder is."""
+    size = full * WIDTHS[kind] // WIDTHS["float32"]
+    return round(WIDTHS[kind] * _measure(processor, KINDS.index(kind), size, 60), 1)
+
+
+def _measure(processor: int, kind: int, size: int, times: int) -> float:
+    """Give billions of numbers read, or of operations done, in a second: the median of some."""
     block = np.zeros(size, np.uint8)
-    times = 200_000 if kind == _CALCULATE else 60
-    width = {_FULL: 4, _HALF: 2, _CALCULATE: 1}[kind]
     rates = []
     for _ in range(TRIES):
         begin = time.perf_counter()
         done = fused.probe(processor, kind, block, times)
-        rates.append(done * width / (time.perf_counter() - begin) / 1e9)
+        rates.append(done / (time.perf_counter() - begin) / 1e9)
     return round(float(np.median(rates)), 1)

@@ -2,7 +2,7 @@
 
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -22,7 +22,7 @@ from models.personal import PersonalDecoder
 from models.predictor import Predictor
 from models.runtime.fused import PROCESSORS, PackedPerson, find_packed, forecast_fused
 from models.runtime.mixed import forecast_mixed
-from models.runtime.pack import PackedBase, pack_decoder
+from models.runtime.pack import KINDS, Kind, PackedBase, pack_decoder
 from models.spec import MotionSpec
 
 WARM_UP_CALLS = 3
@@ -60,8 +60,7 @@ class People:
     base: Predictor
     packed_base: PackedBase | None
     torch: Sequence[PersonalDecoder]
-    full: Sequence[PackedPerson]
-    half: Sequence[PackedPerson]
+    packed: Mapping[Kind, Sequence[PackedPerson]]
 
 
 def measure_forecast(plan: ForecastPlan) -> dict[str, Any]:
@@ -90,14 +89,14 @@ def measure_forecast(plan: ForecastPlan) -> dict[str, Any]:
 def invent_people(base: Predictor, users: int) -> People:
     """Give everybody a decoder near the base's; speed depends on sizes, not on what was learnt."""
     packed = find_packed(base)
-    decoders, full, half = [], [], []
+    decoders: list[PersonalDecoder] = []
+    forms: dict[Kind, list[PackedPerson]] = {kind: [] for kind in KINDS if packed is not None}
     for user, decoder in zip(range(users), vary(base.decoder), strict=False):
         if user < FAMILIES:
             decoders.append(PersonalDecoder(base, decoder, None, {}))
-        if packed is not None:
-            full.append(PackedPerson(pack_decoder(decoder, half=False), None))
-            half.append(PackedPerson(pack_decoder(decoder, half=True), None))
-    return People(base, packed, decoders, full, half)
+        for kind, people in forms.items():
+            people.append(PackedPerson(pack_decoder(decoder, kind=kind), None))
+    return People(base, packed, decoders, forms)
 
 
 def invent_windows(users: int) -> Windows:
@@ -118,7 +117,7 @@ def _measure_users(
     }
     if people.packed_base is not None:
         for processor in PROCESSORS:
-            for kind, packed in (("float32", people.full), ("float16", people.half)):
+            for kind, packed in people.packed.items():
                 call = partial(_fuse, people.packed_base, packed[:users], processor)
                 ways[f"{processor} {kind}"] = call
     rows = [_measure(plan, windows, way=way, call=call) for way, call in ways.items()]

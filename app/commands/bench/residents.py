@@ -14,23 +14,24 @@ from app.storage.database import Database
 from app.storage.versions import NewVersion
 from models.checkpoint import SHIPPED, Checkpoint, dump_personal, load_checkpoint
 from models.decoder import Decoder
-from models.runtime.pack import round_to_half
+from models.runtime.pack import round_matrices
 
 SPREAD = 0.02
 """How far the weights of different people are apart, as a part of the base's."""
 
 
-def give_versions(settings: Settings, user_ids: Sequence[str]) -> None:
-    """Store a version for each user and make it active; all weights are different.
+def give_versions(settings: Settings, user_ids: Sequence[str], *, each: int = 1) -> None:
+    """Store versions for each user and make the last one active; all weights are different.
 
     They have no gate, so that every forecast is wholly personal.
 
     Args:
         settings: of the service, for its database and its base.
-        user_ids: who gets one.
+        user_ids: who gets them.
+        each: how many.
     """
     base = load_checkpoint(settings.model or SHIPPED)
-    asyncio.run(_store(settings, user_ids, base))
+    asyncio.run(_store(settings, [user for user in user_ids for _ in range(each)], base))
 
 
 def vary(base: Decoder) -> Iterator[Decoder]:
@@ -48,7 +49,7 @@ async def _store(settings: Settings, user_ids: Sequence[str], base: Checkpoint) 
     database = Database.from_settings(settings)
     try:
         for user_id, decoder in zip(user_ids, vary(base.predictor.decoder), strict=False):
-            round_to_half(decoder)
+            round_matrices(decoder)
             new = NewVersion(
                 blob=dump_personal(decoder, {"radius_scale": 1.0}, base_sha256=base.sha256),
                 parent=0,

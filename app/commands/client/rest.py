@@ -108,6 +108,11 @@ class Api:
         answer: dict[str, Any] = response.json()
         return answer
 
+    async def promote(self, user: str, number: int) -> None:
+        """Let a version of a user answer from now on. Raises as `add_user`."""
+        path = f"/v1/admin/users/{user}/versions/{number}/promote"
+        _check(await self._send("POST", path))
+
     async def get_job(self, job: str) -> dict[str, Any]:
         """Look how far a job is. Raises as `add_user`."""
         response = await self._send("GET", f"/v1/admin/jobs/{job}")

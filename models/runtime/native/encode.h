@@ -116,7 +116,10 @@ static TARGET void NAME(encode)(const Shape *s, const char *block, const double 
     int done = 0;
     for (; count - done >= ROWS; done += ROWS)
         NAME(encode_rows)(ROWS, s, &e, windows + done * size, out + done);
-    for (; done < count; done++) NAME(encode_rows)(1, s, &e, windows + done * size, out + done);
+    windows += done * size, out += done;
+    if (count - done == 3) NAME(encode_rows)(3, s, &e, windows, out);
+    if (count - done == 2) NAME(encode_rows)(2, s, &e, windows, out);
+    if (count - done == 1) NAME(encode_rows)(1, s, &e, windows, out);
 }
 
 /* Root mean square distance, per direction, of a latent to the nearest point of a gate. */

@@ -23,33 +23,39 @@
 #include "lanes_avx512.h"
 #include "layers.h"
 
+#include "window.h"
+
 #define HEADER 64
 #define MAGIC 0x4b494e45
 #define SNAP 0.01f
 
+/* What a decoder's matrices are kept in. */
+enum { FLOAT32, FLOAT16, BFLOAT16, KINDS };
+
 typedef struct {
     const char *name;
     void (*encode)(const Shape *, const char *, const double *, Encoded *, int);
-    void (*full)(const Shape *, const char *, const Encoded *const *, float *const *, int);
-    void (*half)(const Shape *, const char *, const Encoded *const *, float *const *, int);
+    void (*decode[KINDS])(const Shape *, const char *, const Encoded *const *, float *const *, int);
     float (*distance)(const float *, const float *, int, int, int);
     float (*read)(const float *, size_t, int);
     float (*read_half)(const uint16_t *, size_t, int);
+    float (*read_brief)(const uint16_t *, size_t, int);
     float (*calculate)(int);
     const int *lanes;
 } Processor;
 
 static const Processor PROCESSORS[] = {
-    {"avx512", encode_avx512, decode_avx512_full, decode_avx512_half, distance_avx512, read_avx512,
-     read_half_avx512, calculate_avx512, &lanes_avx512},
-    {"avx2", encode_avx2, decode_avx2_full, decode_avx2_half, distance_avx2, read_avx2, read_half_avx2,
+    {"avx512", encode_avx512, {decode_avx512_full, decode_avx512_half, decode_avx512_brief}, distance_avx512, read_avx512,
+     read_half_avx512, read_brief_avx512, calculate_avx512, &lanes_avx512},
+    {"avx2", encode_avx2, {decode_avx2_full, decode_avx2_half, decode_avx2_brief}, distance_avx2, read_avx2, read_half_avx2, read_brief_avx2,
      calculate_avx2, &lanes_avx2},
 };
 enum { KNOWN = sizeof PROCESSORS / sizeof *PROCESSORS };
 
 static int is_here(int processor) {
     __builtin_cpu_init();
-    const int narrow = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
+    const int narrow =
+        __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("f16c");
     if (processor) return narrow;
     return narrow && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
            __builtin_cpu_supports("avx512vl");
@@ -63,17 +69,16 @@ typedef struct {
     const char **decoders; /* of each window; NULL: the base alone */
     const float **gates;   /* of each window; NULL: everything is familiar */
     const double *windows;
-    float *displacement, *share;
+    float *displacement, *share, *fastest;
     Encoded *encoded;
     float *own;
     int count;
 } Call;
 
-static int is_half(const char *decoder) { return ((const int32_t *)decoder)[1]; }
+static int kind_of(const char *decoder) { return ((const int32_t *)decoder)[1]; }
 
 static void roll_out(const Call *call, const char *decoder, const Encoded **encoded, float **out, int count) {
-    (is_half(decoder) ? call->processor->half : call->processor->full)(
-        call->shape, decoder + HEADER, encoded, out, count);
+    call->processor->decode[kind_of(decoder)](call->shape, decoder + HEADER, encoded, out, count);
 }
 
 /* How familiar a window is, 0 to 1; see models/familiarity.py. */
@@ -105,6 +110,22 @@ static void turn_back(const Shape *s, const Encoded *encoded, float *out) {
     }
 }
 
+/* The largest squared step of any joint, metres; not a number if a coordinate is none. */
+static float find_fastest_step(const Shape *s, const float *displacement) {
+    const int pose = 3 * s->joints;
+    float most = 0.0f;
+    for (int i = 0; i < s->horizon * pose; i += 3) {
+        float squared = 0.0f;
+        for (int axis = 0; axis < 3; axis++) {
+            const float step = displacement[i + axis] - (i < pose ? 0.0f : displacement[i - pose + axis]);
+            squared += step * step;
+        }
+        if (!(squared <= most)) most = squared;
+        if (most != most) break;
+    }
+    return most;
+}
+
 /* Rows of one decoder go together; `size` is the length of a forecast. */
 static void run(Call *call, const Encoded **encoded, float **out, char *done) {
     const Shape *s = call->shape;
@@ -134,17 +155,24 @@ static void run(Call *call, const Encoded **encoded, float **out, char *done) {
         if (!(share < 1.0f)) memcpy(answer, call->own + (size_t)row * size, size * sizeof(float));
         else if (share > 0.0f) mix(answer, call->own + (size_t)row * size, share, size);
         turn_back(s, call->encoded + row, answer);
+        call->fastest[row] = find_fastest_step(s, answer);
     }
 }
 
-static int check_decoder(const Shape *s, const Py_buffer *view) {
+/* The size of a decoder's weights in bytes, 0 for a kind that there is not. */
+static size_t measure_decoder(const Shape *s, int kind, const char *block) {
     Decoder_avx2_full full;
     Decoder_avx2_half half;
+    Decoder_avx2_brief brief;
+    if (kind == FLOAT32) return find_decoder_avx2_full(&full, s, block);
+    if (kind == FLOAT16) return find_decoder_avx2_half(&half, s, block);
+    return kind == BFLOAT16 ? find_decoder_avx2_brief(&brief, s, block) : 0;
+}
+
+static int check_decoder(const Shape *s, const Py_buffer *view) {
     if (view->len >= HEADER && *(const int32_t *)view->buf == MAGIC) {
-        const char *block = (const char *)view->buf + HEADER;
-        const size_t size = is_half(view->buf) ? find_decoder_avx2_half(&half, s, block)
-                                               : find_decoder_avx2_full(&full, s, block);
-        if ((size_t)view->len == HEADER + size) return 0;
+        const size_t size = measure_decoder(s, kind_of(view->buf), (const char *)view->buf + HEADER);
+        if (size && (size_t)view->len == HEADER + size) return 0;
     }
     PyErr_SetString(PyExc_ValueError, "not a decoder of this shape");
     return -1;
@@ -169,7 +197,8 @@ static int check_shape(const Py_buffer *view) {
     else if (s->observe < 2 || s->observe > MAX_OBSERVE || s->heading_frames > s->observe ||
              s->joints < 1 || s->joints > MAX_JOINTS || s->horizon < 1)
         problem = "windows or skeletons of this size have no kernel";
-    else if (s->hidden % TILE || s->hidden > MAX_HIDDEN || s->state % TILE || s->state > MAX_HIDDEN ||
+    else if (s->hidden < 1 || s->state < 1 || s->token < 1 || s->spl < 1 || s->z < 1 || s->c < 1 ||
+             s->heads < 1 || s->decoder_heads < 1 || s->hidden % TILE || s->hidden > MAX_HIDDEN || s->state % TILE || s->state > MAX_HIDDEN ||
              s->token % TILE || s->token > MAX_TOKEN || s->spl % 16 || s->spl > MAX_SPL || s->z > MAX_Z ||
              s->c > MAX_C || s->heads > MAX_HEADS || s->decoder_heads > MAX_HEADS ||
              s->hidden % (16 * s->heads) || s->token % (16 * s->decoder_heads))
@@ -204,12 +233,13 @@ failed:
     return -1;
 }
 
-static int check_arrays(const Call *call, const Py_buffer *given, const Py_buffer *made, const Py_buffer *share) {
+static int check_arrays(const Call *call, const Py_buffer *given, const Py_buffer *made, const Py_buffer *share,
+                        const Py_buffer *fastest) {
     const Shape *s = call->shape;
     const size_t pose = 3 * (size_t)s->joints, count = call->count;
     if ((size_t)given->len == count * s->observe * pose * sizeof(double) &&
         (size_t)made->len == count * s->horizon * pose * sizeof(float) &&
-        (size_t)share->len == count * sizeof(float))
+        (size_t)share->len == count * sizeof(float) && fastest->len == share->len)
         return 0;
     PyErr_SetString(PyExc_ValueError, "arrays of another size than the lists and the shape say");
     return -1;
@@ -256,24 +286,25 @@ free_all:
 }
 
 PyDoc_STRVAR(forecast_doc,
-    "forecast(processor, shape, encoder, base, decoders, gates, windows, displacement, share)\n--\n\n"
+    "forecast(processor, shape, encoder, base, decoders, gates, windows, displacement, share, fastest)\n--\n\n"
     "Forecast windows, each by its own decoder as far as its gate finds it familiar, else by the base.\n\n"
     "processor: index into `processors`. shape: as `pack.py` gives it, like encoder, base, the list of\n"
     "decoders and the list of gates (None for none). windows: float64 [n, observe, joints, 3], metres.\n"
     "displacement: float32 [n, horizon, joints, 3], is filled with metres from the last pose.\n"
-    "share: float32 [n], is filled with the part that the own decoder has.");
+    "share: float32 [n], is filled with the part that the own decoder has.\n"
+    "fastest: float32 [n], is filled with the largest squared step of any joint, metres.");
 
 static PyObject *forecast(PyObject *module, PyObject *args) {
     (void)module;
-    Py_buffer shape, encoder, base, windows, displacement, share;
+    Py_buffer shape, encoder, base, windows, displacement, share, fastest;
     PyObject *decoders, *gates, *result = NULL;
     Call call = {0};
     int processor;
-    if (!PyArg_ParseTuple(args, "iy*y*y*O!O!y*w*w*", &processor, &shape, &encoder, &base, &PyList_Type,
-                          &decoders, &PyList_Type, &gates, &windows, &displacement, &share))
+    if (!PyArg_ParseTuple(args, "iy*y*y*O!O!y*w*w*w*", &processor, &shape, &encoder, &base, &PyList_Type,
+                          &decoders, &PyList_Type, &gates, &windows, &displacement, &share, &fastest))
         return NULL;
     call.shape = shape.buf, call.encoder = encoder.buf, call.base = base.buf, call.windows = windows.buf;
-    call.displacement = displacement.buf, call.share = share.buf;
+    call.displacement = displacement.buf, call.share = share.buf, call.fastest = fastest.buf;
     call.count = (int)PyList_GET_SIZE(decoders);
     if (processor < 0 || processor >= KNOWN || !is_here(processor))
         PyErr_SetString(PyExc_ValueError, "this processor has no such instructions");
@@ -281,12 +312,13 @@ static PyObject *forecast(PyObject *module, PyObject *args) {
         PyErr_SetString(PyExc_ValueError, "as many gates as decoders are needed");
     else if (check_shape(&shape) == 0 && check_encoder(call.shape, &encoder) == 0 &&
              check_decoder(call.shape, &base) == 0 &&
-             check_arrays(&call, &windows, &displacement, &share) == 0) {
+             check_arrays(&call, &windows, &displacement, &share, &fastest) == 0) {
         call.processor = &PROCESSORS[processor];
         if (compute_lists(&call, decoders, gates) == 0) result = Py_NewRef(Py_None);
     }
     PyBuffer_Release(&shape), PyBuffer_Release(&encoder), PyBuffer_Release(&base);
     PyBuffer_Release(&windows), PyBuffer_Release(&displacement), PyBuffer_Release(&share);
+    PyBuffer_Release(&fastest);
     return result;
 }
 
@@ -303,8 +335,8 @@ static PyObject *check(PyObject *module, PyObject *args) {
 
 PyDoc_STRVAR(probe_doc,
     "probe(processor, kind, block, times)\n--\n\n"
-    "Do nothing useful as fast as this processor can: kind 0 reads a block as single precision, 1 as half\n"
-    "precision, 2 multiplies and adds. Gives how many numbers were read, or how many operations done.");
+    "Do nothing useful as fast as this processor can: kind 0 reads a block as float32, 1 as float16, 2 as\n"
+    "bfloat16, 3 multiplies and adds. Gives how many numbers were read, or how many operations done.");
 
 static PyObject *probe(PyObject *module, PyObject *args) {
     (void)module;
@@ -312,18 +344,19 @@ static PyObject *probe(PyObject *module, PyObject *args) {
     int processor, kind, times;
     if (!PyArg_ParseTuple(args, "iiy*i", &processor, &kind, &block, &times)) return NULL;
     double done = 0;
-    if (processor < 0 || processor >= KNOWN || !is_here(processor) || kind < 0 || kind > 2)
+    if (processor < 0 || processor >= KNOWN || !is_here(processor) || kind < 0 || kind > KINDS)
         PyErr_SetString(PyExc_ValueError, "there is no such probe on this processor");
     else {
         const Processor *p = &PROCESSORS[processor];
         volatile float sink;
         Py_BEGIN_ALLOW_THREADS
-        if (kind == 0) sink = p->read(block.buf, block.len / sizeof(float), times);
-        if (kind == 1) sink = p->read_half(block.buf, block.len / sizeof(uint16_t), times);
-        if (kind == 2) sink = p->calculate(times);
+        if (kind == FLOAT32) sink = p->read(block.buf, block.len / sizeof(float), times);
+        if (kind == FLOAT16) sink = p->read_half(block.buf, block.len / sizeof(uint16_t), times);
+        if (kind == BFLOAT16) sink = p->read_brief(block.buf, block.len / sizeof(uint16_t), times);
+        if (kind == KINDS) sink = p->calculate(times);
         (void)sink;
         Py_END_ALLOW_THREADS
-        done = kind == 2 ? 32.0 * *p->lanes * times
+        done = kind == KINDS ? 32.0 * *p->lanes * times
                          : (double)times * block.len / (kind ? sizeof(uint16_t) : sizeof(float));
     }
     PyBuffer_Release(&block);
@@ -333,6 +366,8 @@ static PyObject *probe(PyObject *module, PyObject *args) {
 static PyMethodDef METHODS[] = {{"forecast", forecast, METH_VARARGS, forecast_doc},
                                 {"check", check, METH_VARARGS, check_doc},
                                 {"probe", probe, METH_VARARGS, probe_doc},
+                                {"resample", resample, METH_VARARGS, resample_doc},
+                                {"find_fastest", find_fastest, METH_VARARGS, fastest_doc},
                                 {NULL, NULL, 0, NULL}};
 static struct PyModuleDef MODULE = {
     PyModuleDef_HEAD_INIT, "_kernel", "Forecasts in the processor's cache; see pack.py and fused.py.", -1, METHODS,

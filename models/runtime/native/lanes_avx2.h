@@ -8,6 +8,12 @@
 #define LOAD(p) _mm256_loadu_ps(p)
 #define STORE(p, v) _mm256_storeu_ps(p, v)
 #define LOAD_HALF(p) _mm256_cvtph_ps(_mm_loadu_si128((const __m128i *)(p)))
+#define LOAD_PAIR(p, a, b) \
+    do { \
+        const __m256i pair_ = _mm256_loadu_si256((const __m256i *)(p)); \
+        a = _mm256_castsi256_ps(_mm256_slli_epi32(pair_, 16)); \
+        b = _mm256_castsi256_ps(_mm256_and_si256(pair_, _mm256_set1_epi32((int)0xffff0000))); \
+    } while (0)
 #define FMA(a, b, c) _mm256_fmadd_ps(a, b, c)
 #define ADD(a, b) _mm256_add_ps(a, b)
 #define SUB(a, b) _mm256_sub_ps(a, b)

@@ -8,6 +8,13 @@
 #define LOAD(p) _mm512_loadu_ps(p)
 #define STORE(p, v) _mm512_storeu_ps(p, v)
 #define LOAD_HALF(p) _mm512_cvtph_ps(_mm256_loadu_si256((const __m256i *)(p)))
+/* 32 weights of bfloat16, as float the first and the second half of them: see `pack.py` */
+#define LOAD_PAIR(p, a, b) \
+    do { \
+        const __m512i pair_ = _mm512_loadu_si512((const void *)(p)); \
+        a = _mm512_castsi512_ps(_mm512_slli_epi32(pair_, 16)); \
+        b = _mm512_castsi512_ps(_mm512_and_si512(pair_, _mm512_set1_epi32((int)0xffff0000))); \
+    } while (0)
 #define FMA(a, b, c) _mm512_fmadd_ps(a, b, c)
 #define ADD(a, b) _mm512_add_ps(a, b)
 #define SUB(a, b) _mm512_sub_ps(a, b)

@@ -73,51 +73,96 @@ INLINE void NAME(normalize)(float *x, const float *y, const float *gain, const f
 }
 
 /* Dot products of three tokens with each other, softmax, weighted sums; `split` holds each token's
-   query, key and value one after the other. */
+   query, key and value one after the other. A softmax is over three numbers, so all of them are done
+   side by side: weights[j] holds what every head and token gives to token j. */
 INLINE void NAME(attend)(float *out, const float *split, int width, int heads) {
-    float weights[MAX_HEADS][TOKENS][16] __attribute__((aligned(64))) = {0};
+    float weights[TOKENS][TOKENS * MAX_HEADS] __attribute__((aligned(64))) = {{0}};
     const int size = width / heads;
     const float scale = 1.0f / sqrtf((float)size);
-    for (int head = 0; head < heads; head++) {
-        const float *first = split + head * size;
-        for (int i = 0; i < TOKENS; i++) {
-            for (int j = 0; j < TOKENS; j++) {
-                const float *query = first + i * 3 * width, *key = first + (3 * j + 1) * width;
-                VEC dot = ZERO();
-                for (int k = 0; k < size; k += LANES) dot = FMA(LOAD(query + k), LOAD(key + k), dot);
-                weights[head][i][j] = SUM(dot) * scale;
-            }
-            NAME(softmax)(weights[head][i], TOKENS);
+    for (int place = 0; place < heads * TOKENS; place++) {
+        const float *first = split + place / TOKENS * size;
+        const float *query = first + place % TOKENS * 3 * width;
+        for (int j = 0; j < TOKENS; j++) {
+            const float *key = first + (3 * j + 1) * width;
+            VEC dot = ZERO();
+            for (int k = 0; k < size; k += LANES) dot = FMA(LOAD(query + k), LOAD(key + k), dot);
+            weights[j][place] = SUM(dot) * scale;
         }
-        for (int i = 0; i < TOKENS; i++) {
-            for (int k = 0; k < size; k += LANES) {
-                VEC sum = ZERO();
-                for (int j = 0; j < TOKENS; j++)
-                    sum = FMA(SET1(weights[head][i][j]), LOAD(first + (3 * j + 2) * width + k), sum);
-                STORE(out + i * width + head * size + k, sum);
-            }
+    }
+    for (int i = 0; i < heads * TOKENS; i += LANES) {
+        VEC given[TOKENS], sum = ZERO();
+        for (int j = 0; j < TOKENS; j++) given[j] = LOAD(weights[j] + i);
+        const VEC most = MAX(given[0], MAX(given[1], given[2]));
+        for (int j = 0; j < TOKENS; j++) {
+            given[j] = NAME(exponential)(SUB(given[j], most));
+            sum = ADD(sum, given[j]);
+        }
+        for (int j = 0; j < TOKENS; j++) STORE(weights[j] + i, DIV(given[j], sum));
+    }
+    for (int place = 0; place < heads * TOKENS; place++) {
+        const float *first = split + place / TOKENS * size;
+        float *mixed = out + place % TOKENS * width + place / TOKENS * size;
+        for (int k = 0; k < size; k += LANES) {
+            VEC sum = ZERO();
+            for (int j = 0; j < TOKENS; j++)
+                sum = FMA(SET1(weights[j][place]), LOAD(first + (3 * j + 2) * width + k), sum);
+            STORE(mixed + k, sum);
         }
     }
 }
 
+/* Where a vector of a tile's outputs stands, and how its weights are read. In bfloat16 each word
+   holds the weights of two outputs that are 16 apart: two cheap instructions make them floats. */
+#define PLACE(v) ((v) * LANES)
+#define PLACE_OF_PAIR(v) ((v) / (32 / LANES) * 32 + (v) / 2 % (16 / LANES) * LANES + (v) % 2 * 16)
+#define LOAD_TWO(p, a, b) (a = LOAD_WEIGHT(p), b = LOAD_WEIGHT((p) + LANES))
+
 #define WEIGHT float
+#define FINE float
 #define LOAD_WEIGHT LOAD
+#define LOAD_FINE LOAD
+#define LOAD_WEIGHTS LOAD_TWO
+#define PLACE_OF PLACE
 #define KIND(a) JOIN(NAME(a), full)
 #include "products.h"
 #include "rollout.h"
 #include "encode.h"
 #undef WEIGHT
+#undef FINE
 #undef LOAD_WEIGHT
+#undef LOAD_FINE
 #undef KIND
 
 #define WEIGHT uint16_t
+#define FINE uint16_t
 #define LOAD_WEIGHT LOAD_HALF
+#define LOAD_FINE LOAD_HALF
 #define KIND(a) JOIN(NAME(a), half)
 #include "products.h"
 #include "rollout.h"
-#undef WEIGHT
+#undef FINE
 #undef LOAD_WEIGHT
+#undef LOAD_FINE
+#undef LOAD_WEIGHTS
+#undef PLACE_OF
 #undef KIND
+
+#define FINE float
+#define LOAD_FINE LOAD
+#define LOAD_WEIGHTS LOAD_PAIR
+#define PLACE_OF PLACE_OF_PAIR
+#define KIND(a) JOIN(NAME(a), brief)
+#include "products.h"
+#include "rollout.h"
+#undef WEIGHT
+#undef FINE
+#undef LOAD_FINE
+#undef LOAD_WEIGHTS
+#undef PLACE_OF
+#undef KIND
+#undef PLACE
+#undef PLACE_OF_PAIR
+#undef LOAD_TWO
 
 #include "probe.h"
 
@@ -130,6 +175,7 @@ INLINE void NAME(attend)(float *out, const float *split, int width, int heads) {
 #undef LOAD
 #undef STORE
 #undef LOAD_HALF
+#undef LOAD_PAIR
 #undef FMA
 #undef ADD
 #undef SUB

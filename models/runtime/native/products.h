@@ -1,7 +1,8 @@
 /* Products of vectors with a matrix, and the recurrent cell; included for each kind of weights.
 
    A matrix is stored in tiles of 64 outputs: for each input its 64 weights, so that a product reads
-   memory in one direction. Inputs are padded to an even number by zeros. */
+   memory in one direction. Inputs are padded to an even number by zeros. How the 64 stand within
+   their row is a matter of the kind of weights: see PLACE_OF. */
 
 /* out (+)= x W for `rows` vectors at once; `bias` is added, NULL: to what is in `out`. */
 INLINE void KIND(multiply)(
@@ -10,30 +11,30 @@ INLINE void KIND(multiply)(
     enum { WIDE = LANES == 16 ? 4 : 2 };
     const int vectors = rows == 1 ? 4 : WIDE;
     for (int tile = 0; tile < outputs; tile += TILE, w += TILE * inputs) {
-        for (int part = 0; part < TILE; part += vectors * LANES) {
-            VEC sum[2 * ROWS][4];
+        for (int first = 0; first < TILE / LANES; first += vectors) {
+            const WEIGHT *part = w + first * LANES;
+            VEC sum[2 * ROWS][4], weights[4];
             for (int r = 0; r < rows; r++) {
                 for (int v = 0; v < vectors; v++) {
-                    const int at = tile + part + v * LANES;
+                    const int at = tile + PLACE_OF(first + v);
                     sum[r][v] = bias ? LOAD(bias + at) : LOAD(out + r * out_step + at);
                     if (rows == 1) sum[1][v] = ZERO();
                 }
             }
             if (rows == 1) { /* two chains of sums, or each would wait for the one before */
                 for (int k = 0; k < inputs; k += 2) {
-                    const WEIGHT *row = w + k * TILE + part;
-                    for (int v = 0; v < 4; v++) {
-                        sum[0][v] = FMA(SET1(x[k]), LOAD_WEIGHT(row + v * LANES), sum[0][v]);
-                        sum[1][v] =
-                            FMA(SET1(x[k + 1]), LOAD_WEIGHT(row + TILE + v * LANES), sum[1][v]);
+                    for (int chain = 0; chain < 2; chain++, part += TILE) {
+                        for (int v = 0; v < 4; v += 2)
+                            LOAD_WEIGHTS(part + v * LANES, weights[v], weights[v + 1]);
+                        for (int v = 0; v < 4; v++)
+                            sum[chain][v] = FMA(SET1(x[k + chain]), weights[v], sum[chain][v]);
                     }
                 }
                 for (int v = 0; v < 4; v++) sum[0][v] = ADD(sum[0][v], sum[1][v]);
             } else {
-                for (int k = 0; k < inputs; k++) {
-                    const WEIGHT *row = w + k * TILE + part;
-                    VEC weights[4];
-                    for (int v = 0; v < vectors; v++) weights[v] = LOAD_WEIGHT(row + v * LANES);
+                for (int k = 0; k < inputs; k++, part += TILE) {
+                    for (int v = 0; v < vectors; v += 2)
+                        LOAD_WEIGHTS(part + v * LANES, weights[v], weights[v + 1]);
                     for (int r = 0; r < rows; r++) {
                         const VEC given = SET1(x[r * x_step + k]);
                         for (int v = 0; v < vectors; v++)
@@ -43,7 +44,7 @@ INLINE void KIND(multiply)(
             }
             for (int r = 0; r < rows; r++)
                 for (int v = 0; v < vectors; v++)
-                    STORE(out + r * out_step + tile + part + v * LANES, sum[r][v]);
+                    STORE(out + r * out_step + tile + PLACE_OF(first + v), sum[r][v]);
         }
     }
 }

@@ -3,7 +3,8 @@
 typedef struct {
     const float *bias_start, *bias_z, *bias_c, *bias_h, *bias_project, *bias_mix, *gain, *shift;
     const float *bias_state, *bias_offset;
-    const WEIGHT *start, *token_z, *token_c, *token_h, *project, *mix, *from_state, *ancestors, *offsets;
+    const WEIGHT *start, *token_z, *token_c, *token_h, *project, *mix, *from_state;
+    const FINE *ancestors, *offsets;
     KIND(Cell) cell;
 } KIND(Decoder);
 
@@ -35,16 +36,17 @@ static size_t KIND(find_decoder)(KIND(Decoder) * d, const Shape *s, const char *
     d->cell.hidden = w, w += s->state * 3 * s->state;
     d->cell.inputs = inputs, d->cell.size = s->state;
     d->from_state = w, w += s->state * padded(s->joints * s->spl, TILE);
-    d->ancestors = w;
-    for (int place = 0; place < s->joints; place++) w += 3 * s->depth[place] * s->spl;
-    d->offsets = w, w += 3 * s->joints * s->spl;
-    return (size_t)((const char *)w - block);
+    const FINE *fine = (const FINE *)w;
+    d->ancestors = fine;
+    for (int place = 0; place < s->joints; place++) fine += 3 * s->depth[place] * s->spl;
+    d->offsets = fine, fine += 3 * s->joints * s->spl;
+    return (size_t)((const char *)fine - block);
 }
 
 /* One pose from the state, joint by joint along the kinematic tree. */
 INLINE void KIND(pose)(const Shape *s, const KIND(Decoder) * d, const float *first, float *out) {
     float known[MAX_JOINTS][3 * MAX_JOINTS]; /* offsets of a joint's ancestors, and its own */
-    const WEIGHT *ancestors = d->ancestors, *offsets = d->offsets;
+    const FINE *ancestors = d->ancestors, *offsets = d->offsets;
     for (int place = 0; place < s->joints; place++) {
         float hidden[MAX_SPL] __attribute__((aligned(64)));
         const int seen = 3 * s->depth[place], spl = s->spl;
@@ -52,13 +54,13 @@ INLINE void KIND(pose)(const Shape *s, const KIND(Decoder) * d, const float *fir
         for (int i = 0; i < spl; i += LANES) {
             VEC sum = LOAD(first + place * spl + i);
             for (int k = 0; k < seen; k++)
-                sum = FMA(SET1(known[place][k]), LOAD_WEIGHT(ancestors + k * spl + i), sum);
+                sum = FMA(SET1(known[place][k]), LOAD_FINE(ancestors + k * spl + i), sum);
             STORE(hidden + i, MAX(ZERO(), sum));
         }
         for (int axis = 0; axis < 3; axis++) {
             VEC sum = ZERO();
             for (int i = 0; i < spl; i += LANES)
-                sum = FMA(LOAD(hidden + i), LOAD_WEIGHT(offsets + axis * spl + i), sum);
+                sum = FMA(LOAD(hidden + i), LOAD_FINE(offsets + axis * spl + i), sum);
             const float offset = SUM(sum) + d->bias_offset[3 * place + axis];
             known[place][seen + axis] = offset;
             out[3 * s->order[place] + axis] = offset;
@@ -124,5 +126,8 @@ static TARGET void KIND(decode)(
     KIND(find_decoder)(&d, s, block);
     int done = 0;
     for (; count - done >= ROWS; done += ROWS) KIND(roll)(ROWS, s, &d, encoded + done, out + done);
-    for (; done < count; done++) KIND(roll)(1, s, &d, encoded + done, out + done);
+    encoded += done, out += done;
+    if (count - done == 3) KIND(roll)(3, s, &d, encoded, out);
+    if (count - done == 2) KIND(roll)(2, s, &d, encoded, out);
+    if (count - done == 1) KIND(roll)(1, s, &d, encoded, out);
 }

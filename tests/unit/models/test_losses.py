@@ -1,6 +1,6 @@
 import torch
 
-from models.losses import reconstruction_loss
+from models.losses import label_loss, reconstruction_loss
 
 
 def test_a_perfect_forecast_costs_nothing() -> None:
@@ -24,3 +24,18 @@ def test_an_early_mistake_costs_more_than_the_same_later() -> None:
         costs.append(float(reconstruction_loss(wrong, truth)))
     assert costs == sorted(costs, reverse=True)
     assert costs[0] > costs[2] * 1.05
+
+
+def test_categories_that_name_the_action_cost_least() -> None:
+    labels = torch.tensor([[1.0, 0.0], [0.0, 0.0]])
+    right, wrong = torch.tensor([[1.0, 0.0, 0.0]] * 2), torch.tensor([[0.0, 0.5, 0.5]] * 2)
+    unsure = torch.tensor([[1 / 3, 1 / 3, 1 / 3]] * 2)
+    costs = [float(label_loss(c, labels)) for c in (right, unsure, wrong)]
+    assert abs(costs[0]) < 1e-5
+    assert costs == sorted(costs)
+    assert torch.allclose(label_loss(unsure, labels), torch.tensor(3.0).log() / 2, atol=1e-4)
+
+
+def test_windows_without_a_label_cost_nothing() -> None:
+    assert label_loss(torch.full((4, 3), 1 / 3), torch.zeros(4, 2)) == 0
+    assert label_loss(torch.full((4, 3), 1 / 3), torch.zeros(4, 0)) == 0

@@ -10,7 +10,7 @@ import pytest_asyncio
 from app.domain.errors import DrainingError, KinecastError, NotReadyError
 from app.domain.streams import OpenStream
 from app.live.codec import Codec
-from app.live.connection import SETTLE_S, STALL_S, Connection, GoneError
+from app.live.connection import SETTLE_S, STALL_S, Connection, GoneError, Take
 from app.live.decoders import Decoders
 from app.live.engine import Engine
 from app.live.outbox import FULL, Outbox
@@ -24,6 +24,11 @@ from tests.unit.app.live.test_session import PERSON, make_session
 CODEC = Codec(JSON, joints=20)
 
 
+def write_frame(seq: int) -> str:
+    joints = PERSON[seq % 60].tolist()
+    return json.dumps({"type": "frame", "seq": seq, "t": seq / 30, "joints": joints})
+
+
 class FakeSocket:
     """A client in memory: it sends what it is given and may stop taking anything."""
 
@@ -33,6 +38,8 @@ class FakeSocket:
         self.reads = asyncio.Event()
         self.reads.set()
         self.refused: KinecastError | None = None
+        self.take: Take | None = None
+        self.is_clear = False
 
     async def receive(self) -> str | bytes:
         data = await self.inbox.get()
@@ -48,10 +55,15 @@ class FakeSocket:
         await self.reads.wait()
         self.refused = error
 
+    def listen(self, take: Take | None) -> None:
+        self.take = take
+
+    def send_now(self, data: bytes) -> None:
+        assert self.is_clear
+        self.taken.append(json.loads(data))
+
     def show(self, seq: int) -> None:
-        joints = PERSON[seq % 60].tolist()
-        frame = {"type": "frame", "seq": seq, "t": seq / 30, "joints": joints}
-        self.inbox.put_nowait(json.dumps(frame))
+        self.inbox.put_nowait(write_frame(seq))
 
 
 class MemoryArchive:
@@ -110,6 +122,52 @@ async def test_frames_go_through_the_engine_and_come_back(live: Fixture) -> None
     live.socket.inbox.put_nowait(None)
     await live.task
     assert live.connection.closed.is_set()
+
+
+@pytest.mark.asyncio
+async def test_frames_are_taken_and_answered_without_a_tasks_turn(live: Fixture) -> None:
+    await live.until(lambda: live.socket.taken)  # the hello has left
+    live.socket.is_clear = True
+    assert live.socket.take is not None
+    for seq in range(16):
+        assert live.socket.take(write_frame(seq))
+    await live.until(lambda: live.socket.taken[-1].get("seq") == 15)
+    assert live.socket.taken[-1]["type"] == "forecast"
+    assert not live.connection._outbox
+
+
+@pytest.mark.asyncio
+async def test_what_may_have_to_wait_is_left_to_the_task(live: Fixture) -> None:
+    await live.until(lambda: live.socket.taken)
+    assert live.socket.take is not None
+    assert not live.socket.take('{"type": "configure", "forecast_every": 2}')
+    live.connection._is_busy = True
+    assert not live.socket.take(write_frame(0))
+    live.connection._is_busy = False
+    live.connection.end(DrainingError())
+    assert not live.socket.take(write_frame(0))
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("where", ["receive", "answer"])
+async def test_a_defect_ends_the_stream_and_not_the_server(
+    live: Fixture, where: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise ZeroDivisionError
+
+    await live.until(lambda: live.socket.taken)
+    live.socket.is_clear = True
+    monkeypatch.setattr(Session, where, fail)
+    assert live.socket.take is not None
+    for seq in range(16):
+        live.socket.take(write_frame(seq))
+    take = live.socket.take
+    with pytest.raises(ZeroDivisionError):
+        await live.task
+    assert live.connection.closed.is_set()
+    assert live.socket.take is None
+    assert not take(write_frame(16))
 
 
 @pytest.mark.asyncio

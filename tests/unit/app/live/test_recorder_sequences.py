@@ -18,16 +18,25 @@ class Recordings(RuleBasedStateMachine):
         self.seq, self.t = 0, 0.0
         self.is_started = self.is_open = False
         self.expected: list[int] = []
+        self.turns: dict[
+            int, int
+        ] = {}  # of each frame: how many clips the client had begun or ended
+        self.turn = 0
         self.heard = 0
 
     def hear(self) -> None:
-        """Take note of clips that ended at a limit."""
+        """Take note of clips that ended at a limit: nothing until the next that is begun."""
         while self.heard < len(self.rig.told):
             one = self.rig.told[self.heard]
             self.heard += 1
-            if getattr(one, "code", "") == "trial_limit":
-                self.is_open = False
-                self.expected = [seq for seq in self.expected if one.seq is None or seq < one.seq]
+            if getattr(one, "code", "") != "trial_limit":
+                continue
+            over = self.turn if one.seq is None else self.turns[one.seq]
+            self.is_open = self.is_open and over != self.turn
+            if one.seq is not None:
+                self.expected = [
+                    seq for seq in self.expected if seq < one.seq or self.turns[seq] != over
+                ]
 
     def say(self, message) -> bool:
         try:
@@ -45,12 +54,14 @@ class Recordings(RuleBasedStateMachine):
     @precondition(lambda self: self.rig.archive.state is not None)
     def clip_start(self, action) -> None:
         if self.say(ClipStart(action)):
-            self.is_open = True
+            self.is_open, self.turn = True, self.turn + 1
+            self.hear()
 
     @rule()
     def clip_stop(self) -> None:
         if self.say(ClipStop()):
-            self.is_open = False
+            self.is_open, self.turn = False, self.turn + 1
+            self.hear()
 
     @rule(number=st.integers(1, 30), anew=st.booleans())
     def frames(self, number: int, anew: bool) -> None:
@@ -58,6 +69,7 @@ class Recordings(RuleBasedStateMachine):
             self.rig.now += 1 / 30
             self.t += 1 / 30
             frame = make_frame(self.seq, self.t)
+            self.turns[self.seq] = self.turn
             self.rig.take(self.rig.recorder.record(frame, self.rig.now, anew=anew and i == 0))
             if self.is_open:
                 self.expected.append(self.seq)

@@ -3,7 +3,7 @@ from dataclasses import fields, replace
 import pytest
 import torch
 
-from models.data.augment import Augmentation, augment, mirror
+from models.data.augment import Augmentation, augment, augment_labelled, mirror
 from models.normalize import heading_rotation
 from models.skeleton import HIP_CENTER, KINECT_V1, LEFT_HAND, RIGHT_HAND
 
@@ -92,3 +92,19 @@ def test_blended_people_stand_between_two_of_the_batch(synthetic_windows: torch.
     assert (blended >= placed.amin(dim=0) - 1e-5).all()
     assert (blended <= placed.amax(dim=0) + 1e-5).all()
     assert (torch.cdist(blended.flatten(1), placed.flatten(1)).amin(dim=1) > 1e-3).any()
+
+
+def test_labels_are_blended_as_the_windows_are(synthetic_windows: torch.Tensor) -> None:
+    count = len(synthetic_windows)
+    config, labels = replace(OFF, mix=0.5), torch.eye(count)
+    torch.manual_seed(0)
+    windows, blended = augment_labelled(synthetic_windows, labels, config, observe=15)
+    torch.manual_seed(0)
+    assert torch.equal(windows, augment(synthetic_windows, config, observe=15))
+    assert torch.allclose(blended.sum(dim=1), torch.ones(count))
+    kept = blended.diagonal() == 1
+    assert kept.any()
+    assert not kept.all()
+    placed, _ = augment_labelled(synthetic_windows, labels, replace(OFF, mix=1e-9), observe=15)
+    expected = torch.einsum("nm,mtjx->ntjx", blended, placed)
+    assert torch.allclose(windows, expected, atol=1e-5)

@@ -15,7 +15,7 @@ from models.personal import PersonalDecoder
 from models.predictor import NetConfig, Predictor
 from models.runtime import fused
 from models.runtime.fused import PROCESSORS, PackedPerson, find_packed, forecast_fused
-from models.runtime.pack import is_half, pack_decoder, pack_gate
+from models.runtime.pack import KINDS, find_packed_kind, pack_decoder, pack_gate, round_matrices
 from tests.nets import SMALL
 from tests.unit.models.conftest import believable_motion
 
@@ -41,13 +41,12 @@ def make_net(config: NetConfig = SIZES, *, seed: int = 0) -> Predictor:
     return net
 
 
-def vary(decoder: Decoder, *, seed: int, half: bool = False) -> Decoder:
+def vary(decoder: Decoder, *, seed: int, kind: str = "float32") -> Decoder:
     torch.manual_seed(seed)
     other = copy.deepcopy(decoder)
     for weight in other.parameters():
         weight.mul_(1 + 0.1 * torch.randn_like(weight))
-        if half:
-            weight.copy_(weight.half().float())
+        weight.copy_(weight.to(getattr(torch, kind)).float())
     return other
 
 
@@ -66,8 +65,8 @@ def make_gate(row: int) -> Familiarity:
 PEOPLE = [
     PersonalDecoder(
         NET,
-        vary(NET.decoder, seed=i, half=i % 2 == 1),
-        None if i % 3 == 0 else make_gate(i),
+        vary(NET.decoder, seed=i, kind=KINDS[i % 3]),
+        None if i % 4 == 0 else make_gate(i),
         {},
     )
     for i in range(6)
@@ -95,6 +94,8 @@ def check(windows: np.ndarray, rows: list[int | None], processor: str) -> np.nda
         apart = made.displacement[i] - (frames[0] - window[0, -1:]).numpy()
         assert np.abs(apart).max() < 1e-5
         assert made.share[i] == pytest.approx(float(share), abs=1e-4)
+        steps = np.diff(made.displacement[i], axis=0, prepend=0)
+        assert made.fastest[i] == pytest.approx((steps**2).sum(-1).max(), rel=1e-4)
     return made.share
 
 
@@ -147,14 +148,19 @@ def test_a_window_or_a_decoder_that_is_not_finite_harms_no_other_row() -> None:
     finite = np.isfinite(made.displacement).all(axis=(1, 2, 3))
     assert finite.tolist() == [True, False, True, False, True, True]
     assert np.isnan(made.share[1])
+    assert np.isfinite(made.fastest).tolist() == finite.tolist()
 
 
-def test_half_precision_is_kept_only_where_nothing_is_lost() -> None:
-    exact, other = PACKED[1].decoder, PACKED[0].decoder
-    assert exact.nbytes < 0.55 * other.nbytes
-    assert not is_half(np.float32([1e-9]))
-    assert not is_half(np.float32([1e6]))
-    assert pack_decoder(PEOPLE[0].decoder, half=True).nbytes == exact.nbytes
+def test_sixteen_bits_are_kept_only_where_nothing_is_lost() -> None:
+    assert [find_packed_kind(person.decoder) for person in PACKED[:3]] == list(KINDS)
+    full, half, brief = (person.decoder.nbytes for person in PACKED[:3])
+    assert max(half, brief) < 0.6 * full
+    assert pack_decoder(PEOPLE[0].decoder, kind="float16").nbytes == half
+    rounded = copy.deepcopy(PEOPLE[0].decoder)
+    round_matrices(rounded)
+    assert find_packed_kind(pack_decoder(rounded)) == "bfloat16"
+    rounded.start.weight[0, 0] = 1 + 2**-20
+    assert find_packed_kind(pack_decoder(rounded)) == "float32"
 
 
 def test_nets_of_another_kind_or_size_have_none() -> None:

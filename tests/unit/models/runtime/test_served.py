@@ -9,7 +9,7 @@ from models.checkpoint import dump_personal, load_personal
 from models.personal import PersonalDecoder
 from models.runtime import fused
 from models.runtime.fused import PROCESSORS
-from models.runtime.pack import round_to_half
+from models.runtime.pack import round_matrices
 from models.runtime.served import ServedDecoder
 from tests.unit.models.runtime.test_fused import NET, PEOPLE, WINDOWS, make_gate, make_net, vary
 
@@ -66,7 +66,7 @@ def test_without_a_kernel_decoders_stay_in_torch(monkeypatch: pytest.MonkeyPatch
 def test_what_was_rounded_is_stored_and_held_in_half_the_bytes_without_loss() -> None:
     person = PersonalDecoder(NET, vary(NET.decoder, seed=8), make_gate(0), {})
     whole = dump(person)
-    round_to_half(person.decoder)
+    round_matrices(person.decoder)
     blob = dump(person)
     assert len(blob) < 0.62 * len(whole)
     again = load_personal(blob, NET, base_sha256=BASE_SHA256)

@@ -6,10 +6,12 @@ import torch
 
 from models.data.augment import Augmentation
 from models.data.clips import Clip
+from models.losses import label_loss
 from models.predictor import Predictor
+from models.symmetry import Symmetry
 from models.training.config import PretrainConfig
 from models.training.loop import Progress, Trainer, train
-from models.training.sampler import WindowSampler
+from models.training.sampler import WindowSampler, list_actions
 
 CPU = torch.device("cpu")
 
@@ -24,6 +26,7 @@ def make_trainer(config: PretrainConfig, clips: list[Clip]) -> Trainer:
         tempo=0.1,
         slow=0.1,
         device=CPU,
+        labels=list_actions(clips, config.label_source),
     )
     return Trainer(config, sampler, device=CPU)
 
@@ -78,6 +81,9 @@ def test_training_lowers_the_loss(config: PretrainConfig, clips: list[Clip]) -> 
     losses: list[float] = []
     plain = Augmentation(**{field.name: 0.0 for field in fields(Augmentation)})
     longer = replace(config, steps=140, learning_rate=2e-2, augmentation=plain)
+    longer = replace(
+        longer, symmetric=False, label_weight=0.0
+    )  # four units have few symmetric ones
     run(make_trainer(longer, clips), report=lambda now: losses.append(now.loss))
     assert sum(losses[-10:]) < 0.8 * sum(losses[:10])
 
@@ -109,3 +115,37 @@ def test_without_its_weight_the_adversary_never_plays(
     run(trainer, report=seen.append)
     assert all(now.adversary == 0 for now in seen)
     assert all(map(torch.equal, before, trainer.adversary.parameters()))
+
+
+def test_the_categories_learn_the_actions(config: PretrainConfig, clips: list[Clip]) -> None:
+    plain = Augmentation(**{field.name: 0.0 for field in fields(Augmentation)})
+    longer = replace(config, steps=100, learning_rate=2e-2, augmentation=plain)
+    longer = replace(longer, adversarial_weight=0.0)
+    found = []
+    for weight in (0.0, 1.0):
+        trainer = make_trainer(replace(longer, label_weight=weight), clips)
+        net = run(trainer)
+        [drawn] = trainer.sampler.draw()
+        with torch.no_grad():
+            c = net.encode(drawn.windows[:, :15]).c
+        found.append(float(label_loss(c, drawn.labels)))
+    assert found[1] < 0.5 * found[0]
+
+
+def test_more_actions_than_categories_are_refused(
+    config: PretrainConfig, clips: list[Clip]
+) -> None:
+    few = replace(config, net=replace(config.net, categories=1))
+    with pytest.raises(ValueError, match="do not fit into 1 categories"):
+        make_trainer(few, clips)
+
+
+@pytest.mark.parametrize("symmetric", [True, False])
+def test_a_symmetric_net_stays_symmetric_to_the_last_bit(
+    config: PretrainConfig, clips: list[Clip], *, symmetric: bool
+) -> None:
+    net = run(make_trainer(replace(config, symmetric=symmetric), clips))
+    before = {name: weight.clone() for name, weight in net.state_dict().items()}
+    Symmetry(net).impose(net)
+    kept = [torch.equal(before[name], weight) for name, weight in net.state_dict().items()]
+    assert all(kept) == symmetric
