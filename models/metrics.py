@@ -136,15 +136,51 @@ def bootstrap_ratio(
     """
     if not len(clip):
         raise ValueError("there are no windows to compare")
+    above, below = errors_per_clip(candidate, clip), errors_per_clip(reference, clip)
+    (ratio,) = ratio_intervals(
+        (above.mean * above.windows)[:, None],
+        (below.mean * below.windows)[:, None],
+        draws=draws,
+        confidence=confidence,
+        seed=seed,
+    )
+    return ratio
+
+
+def ratio_intervals(
+    candidate: Float64[np.ndarray, "clip cell"],
+    reference: Float64[np.ndarray, "clip cell"],
+    *,
+    draws: int = 2000,
+    confidence: float = 0.95,
+    seed: int = 0,
+) -> list[Ratio]:
+    """Compare sums of errors per clip, in several cells by the same draws of clips.
+
+    Args:
+        candidate: sum of the errors of each clip's windows, in each cell (say, a frame).
+        reference: the same of the other forecaster.
+        draws: number of resamples.
+        confidence: coverage of the interval.
+        seed: the same seed gives the same intervals.
+
+    Raises:
+        ValueError: if there is no clip, `confidence` is not between 0 and 1, or the reference has
+            no error at all in a clip.
+    """
+    count = len(reference)
+    if not count:
+        raise ValueError("there are no clips to compare")
     if not 0 < confidence < 1 or draws < 1:
         raise ValueError("confidence must lie between 0 and 1, and draws be positive")
-    above, below = errors_per_clip(candidate, clip), errors_per_clip(reference, clip)
-    totals = np.stack([above.mean * above.windows, below.mean * below.windows])
-    if totals[1].min() <= 0:
+    if reference.min() <= 0:
         raise ValueError("the reference has a clip without any error, so no ratio can be taken")
-    count = totals.shape[1]
     picks = np.random.default_rng(seed).integers(count, size=(draws, count))
-    sums = totals[:, picks].sum(axis=2)
-    low, high = np.quantile(sums[0] / sums[1], [(1 - confidence) / 2, (1 + confidence) / 2])
-    value = totals[0].sum() / totals[1].sum()
-    return Ratio(value=float(value), low=float(low), high=float(high))
+    rows = np.arange(draws)[:, None] * count
+    often = np.bincount((rows + picks).ravel(), minlength=draws * count)
+    weights = often.reshape(draws, count).astype(np.float64)
+    drawn = (weights @ candidate) / (weights @ reference)
+    bounds = [(1 - confidence) / 2, (1 + confidence) / 2]
+    low, high = np.quantile(drawn, bounds, axis=0)
+    value = candidate.sum(axis=0) / reference.sum(axis=0)
+    return [Ratio(*map(float, cell)) for cell in zip(value, low, high, strict=True)]
