@@ -10,7 +10,7 @@ TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 TORCH := torch==2.13.0
 
 .DEFAULT_GOAL := help
-.PHONY: coverage live peers where personal reproduce stream-check performance picture crowd faults help serve test lint types imports check-migrations unit clean
+.PHONY: studies study-bases study-main study-everybody study-unseen study-growth study-wild coverage live peers where personal reproduce stream-check performance picture crowd faults help serve test lint types imports check-migrations unit clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
@@ -91,6 +91,31 @@ live: $(VENV)/.test ## record a real person on a stream, check every answer, dra
 
 faults: $(VENV)/.test ## kill, stop, fill and damage what can be, 20 times each (about 30 min; some of it as root)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.faults $(ARGS)
+
+# The evidence for base and personal versions. Rows are kept in benchmarks/results and computed once (ARGS=--fresh: again);
+# a run that was ended goes on where it was. ARGS=--list says what is missing, ARGS=--report sums up what is there.
+STUDY := OMP_NUM_THREADS=1 UTD_MHAD=$${UTD_MHAD:-$(SHARED)/utd-mhad} MORE_PEOPLE=$${MORE_PEOPLE:-$(SHARED)/more-people} \
+	$(BIN)/python -m benchmarks.studies
+studies: $(VENV)/.test ## all studies, those that give most evidence first (about 4 h)
+	$(STUDY) all $(ARGS)
+
+study-bases: $(VENV)/.test ## train the bases of the studies (about 70 min)
+	$(STUDY) bases $(ARGS)
+
+study-main: $(VENV)/.test ## the protocol of the paper, three seeds, trained on all or on 1, 3, 5, 7 (about 15 min)
+	$(STUDY) main $(ARGS)
+
+study-everybody: $(VENV)/.test ## each of seven subjects, by each trial: is anybody worse off? (about 20 min)
+	$(STUDY) everybody $(ARGS)
+
+study-unseen: $(VENV)/.test ## fitted to half of the actions, tested on the others (about 15 min)
+	$(STUDY) unseen $(ARGS)
+
+study-growth: $(VENV)/.test ## one, two and three trials (about 10 min)
+	$(STUDY) growth $(ARGS)
+
+study-wild: $(VENV)/.test ## new people, new collections, against zero velocity (about 15 min)
+	$(STUDY) wild $(ARGS)
 
 picture: $(VENV)/.test ## draw docs/figures/demo.svg
 	$(BIN)/python -m benchmarks.picture $(ARGS)

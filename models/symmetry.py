@@ -97,11 +97,11 @@ def _find_swaps(net: Predictor) -> Iterator[tuple[str, tuple[_Swap, ...]]]:
     size = net.config
     if size.encoder_heads % 2 or size.decoder_heads % 2:
         raise ValueError("attention of a symmetric net needs an even number of heads")
-    pose, stream, z = _mirror_pose(), _halves(size.encoder_hidden), _halves(size.continuous)
+    pose, stream, z = _mirror_pose(), halves(size.encoder_hidden), halves(size.continuous)
     c, token, state = (
         _keep(size.categories),
-        _halves(size.decoder_token),
-        _halves(size.decoder_hidden),
+        halves(size.decoder_token),
+        halves(size.decoder_hidden),
     )
     for name, gru in net.encoder.streams.items():
         yield from _of_gru(f"encoder.streams.{name}", gru, pose, stream)
@@ -121,7 +121,12 @@ def _keep(count: int) -> _Swap:
     return _Swap(torch.arange(count), torch.ones(count))
 
 
-def _halves(count: int) -> _Swap:
+def halves(count: int) -> _Swap:
+    """Act on units by swapping their halves.
+
+    Raises:
+        ValueError: there are no halves.
+    """
     if count % 2:
         raise ValueError(f"{count} units of a symmetric net have no halves")
     return _Swap(torch.arange(count).roll(count // 2), torch.ones(count))
@@ -158,7 +163,7 @@ def _of_attention(name: str, width: _Swap) -> Iterator[tuple[str, tuple[_Swap, .
 def _of_joints(name: str, state: _Swap, hidden: int) -> Iterator[tuple[str, tuple[_Swap, ...]]]:
     """SPL: what is left in a side joint's layer is right in its twin's; all layers swap halves."""
     levels = topological_levels(KINECT_V1.parents)
-    joints, inner = _twins([joint for level in levels for joint in level]), _halves(hidden)
+    joints, inner = _twins([joint for level in levels for joint in level]), halves(hidden)
     point, single = _Swap(torch.arange(3), torch.tensor(_X_FLIPPED)), _keep(1)
     units = (joints.take[:, None] * hidden + inner.take).flatten()
     yield from _of_linear(f"{name}.from_state", _Swap(units, torch.ones(len(units))), state)

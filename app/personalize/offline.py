@@ -7,7 +7,7 @@ import numpy as np
 
 from app.domain.recordings import RawFrames, pack_frames
 from app.domain.versions import Verdict
-from app.personalize.run import Outcome, Report, Task, TaskClip, run_task
+from app.personalize.run import Outcome, Report, Task, TaskClip, Trainer, run_task
 from app.personalize.trainer import train
 from models.baselines import Forecaster
 from models.checkpoint import load_checkpoint, load_personal
@@ -22,6 +22,7 @@ def personalize(
     *,
     threads: int = 1,
     steps: int | None = None,
+    trainer: Trainer = train,
 ) -> Outcome:
     """Check, train and judge, as a worker does with uploaded trials.
 
@@ -31,6 +32,7 @@ def personalize(
         report: told how far it is.
         threads: for arithmetic.
         steps: of one fit; None for those of the recipe.
+        trainer: fits and judges; that of the service unless told.
     """
     ordered = sorted(clips, key=lambda clip: clip.trial)
     task = Task(
@@ -43,7 +45,7 @@ def personalize(
         threads=threads,
         steps=steps,
     )
-    return run_task(task, train, report)
+    return run_task(task, trainer, report)
 
 
 def choose_forecaster(base: bytes, outcome: Outcome) -> Forecaster:

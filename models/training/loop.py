@@ -57,13 +57,13 @@ class Trainer:
         self.config = config
         self.sampler = sampler
         self.device = device
-        self.net = Predictor(config=config.net)
+        self.net = self.make_net()
         self.net.normalizer.fit(self._observed(_fitting_windows(sampler, config)))
         self.net.to(device)
-        self.symmetry = Symmetry(self.net) if config.symmetric else None
+        self.symmetry = self.make_symmetry() if config.symmetric else None
         if self.symmetry is not None:
             self.symmetry.impose(self.net, is_fresh=True)
-        self.average = Predictor(config=config.net).to(device)
+        self.average = self.make_net().to(device)
         self.average.load_state_dict(self.net.state_dict())
         self.adversary = Adversary(
             continuous=config.net.continuous,
@@ -79,6 +79,18 @@ class Trainer:
         self.step = 0
         torch.manual_seed(config.seed + 1)
 
+    def make_net(self) -> Predictor:
+        """Make a fresh net."""
+        return Predictor(config=self.config.net)
+
+    def make_symmetry(self) -> Symmetry:
+        """Tell how mirroring acts on the net."""
+        return Symmetry(self.net)
+
+    def measure(self, forecast: Tensor, future: Tensor) -> Tensor:
+        """Give the loss of a batch of forecasts."""
+        return reconstruction_loss(forecast, future)
+
     def run_step(self) -> tuple[float, float]:
         """Take one optimisation step; give the reconstruction's and the discriminators' loss."""
         self.net.train()
@@ -87,7 +99,7 @@ class Trainer:
         windows = drawn.windows
         observed, future = windows[:, : spec.observe], windows[:, spec.observe :]
         encoded = self.net.encode(observed)
-        loss = reconstruction_loss(self.net.decode(encoded, observed), future)
+        loss = self.measure(self.net.decode(encoded, observed), future)
         weight = self.config.adversarial_weight_at(self.step)
         total = loss
         if self.config.label_weight > 0:

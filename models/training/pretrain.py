@@ -43,6 +43,7 @@ def pretrain(
     report: Callable[[Progress], None] = lambda _: None,
     state: Path | None = None,
     device: torch.device | None = None,
+    trainer_type: type[Trainer] = Trainer,
 ) -> Pretrained:
     """Train a base model.
 
@@ -53,6 +54,7 @@ def pretrain(
         report: called after every step.
         state: where to keep the state of the run; a run whose state is there is resumed.
         device: CUDA if there is any, else the CPU, unless told.
+        trainer_type: a trainer of another net or objective, for comparisons.
 
     Returns:
         The net of averaged weights, on the CPU, with metadata for its checkpoint.
@@ -72,7 +74,7 @@ def pretrain(
             device=device,
             labels=list_actions(split.train, config.label_source),
         )
-        trainer = Trainer(config, sampler, device=device)
+        trainer = trainer_type(config, sampler, device=device)
         windows = _validation_windows(split.held_out, spec)
         began = monotonic()
         net = train(

@@ -1,0 +1,118 @@
+"""What a study is: independent units of work, each of which gives a row, and their summary."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+from app.personalize.judge import SHARES, JudgeRule
+from benchmarks.studies.bases import Recipe, find_sha256, list_recipes
+from benchmarks.studies.cache import Row, make_key
+from benchmarks.studies.recordings import UTD, Place, hash_collection
+from benchmarks.studies.tables import Table
+from models.familiarity import DIRECTIONS, MOST_POINTS, FamiliarityRule
+from models.training.finetune import FinetuneConfig
+
+
+@dataclass(frozen=True)
+class Unit:
+    """One row to be.
+
+    Attributes:
+        name: unique within the study.
+        base: the base that it is about; "" for none.
+        settings: everything else that decides it, as JSON can hold it; `compute` reads it.
+        sources: collections that it reads.
+        seconds: how long it takes on one core, about.
+        personal: whether somebody's decoder is fitted.
+    """
+
+    name: str
+    base: str = ""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    sources: tuple[str, ...] = (UTD,)
+    seconds: float = 10.0
+    personal: bool = True
+
+
+@dataclass(frozen=True)
+class Lab:
+    """What a unit is computed with: the recordings and the bases."""
+
+    place: Place
+
+    @cached_property
+    def recipes(self) -> dict[str, Recipe]:
+        """Give every base by its name."""
+        return list_recipes()
+
+    def read_base(self, name: str) -> bytes:
+        """Give the file of a base that was trained."""
+        return _read(self.recipes[name].path(self.place))
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a run was asked for besides.
+
+    Attributes:
+        people: people to measure on in the place of the study's own.
+    """
+
+    people: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Study:
+    """A question, and how it is answered.
+
+    Attributes:
+        name, question: for people.
+        version: to be raised where the code of `compute` changes what a row says.
+        plan: the units.
+        compute: what a row holds, besides what names it; runs in a process of its own.
+        headline: a row in a line.
+        summarise: the tables, from rows alone.
+    """
+
+    name: str
+    question: str
+    version: int
+    plan: Callable[[Options], Sequence[Unit]]
+    compute: Callable[[Unit, Lab], dict[str, Any]]
+    headline: Callable[[Row], str]
+    summarise: Callable[[Sequence[Row]], list[Table]]
+
+
+def key_of(study: Study, unit: Unit, lab: Lab) -> str | None:
+    """Name a unit's row by everything that decides it; None while its base is not known."""
+    sha256 = find_sha256(lab.recipes[unit.base], lab.place) if unit.base else ""
+    if sha256 is None:
+        return None
+    return make_key(
+        {
+            "study": study.name,
+            "version": study.version,
+            "base": sha256,
+            "settings": unit.settings,
+            "data": {source: hash_collection(lab.place, source) for source in unit.sources},
+            "fit": _describe_fit() if unit.personal else None,
+        }
+    )
+
+
+def _describe_fit() -> dict[str, Any]:
+    """Describe everything that decides a personal version but clips, base and seed."""
+    config = asdict(FinetuneConfig())
+    return {
+        "finetuning": config | {"rates": dict(config["rates"])},
+        "judge": asdict(JudgeRule()),
+        "shares": SHARES,
+        "gate": asdict(FamiliarityRule()) | {"directions": DIRECTIONS, "points": MOST_POINTS},
+    }
+
+
+@lru_cache(maxsize=8)
+def _read(path: Path) -> bytes:
+    return path.read_bytes()
