@@ -10,7 +10,7 @@ TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 TORCH := torch==2.13.0
 
 .DEFAULT_GOAL := help
-.PHONY: studies study-bases study-main study-everybody study-unseen study-growth study-wild coverage live peers where personal reproduce stream-check performance picture crowd faults help serve test lint types imports check-migrations unit clean
+.PHONY: studies study-bases study-main study-everybody study-unseen study-growth study-wild study-seconds study-ablation coverage live peers where personal reproduce stream-check performance picture crowd faults help serve test lint types imports check-migrations unit clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
@@ -116,6 +116,12 @@ study-growth: $(VENV)/.test ## one, two and three trials (about 10 min)
 
 study-wild: $(VENV)/.test ## new people, new collections, against zero velocity (about 15 min)
 	$(STUDY) wild $(ARGS)
+
+study-seconds: $(VENV)/.test ## errors by the seconds that a fit may take; on an idle machine (about 20 min)
+	$(STUDY) seconds $(ARGS)
+
+study-ablation: $(VENV)/.test ## what each part of net, objective and data brings (about 20 min, with its bases 70)
+	$(STUDY) ablation $(ARGS)
 
 picture: $(VENV)/.test ## draw docs/figures/demo.svg
 	$(BIN)/python -m benchmarks.picture $(ARGS)

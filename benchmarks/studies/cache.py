@@ -52,6 +52,8 @@ class Cache:
         """Drop the rows of units that have a later one."""
         latest = {row["unit"]: row for row in self.read().values()}
         lines = [json.dumps(row, separators=(",", ":")) for row in latest.values()]
+        if not latest:
+            return
         draft = self.path.with_suffix(".part")
         draft.write_text("".join(f"{line}\n" for line in lines))
         draft.replace(self.path)

@@ -7,10 +7,9 @@ from benchmarks.studies.bases import SHIPPED_BASE
 from benchmarks.studies.cache import Row
 from benchmarks.studies.measured import LAST, Measured, measure
 from benchmarks.studies.personal import compare_versions, is_promoted
-from benchmarks.studies.recordings import UTD, read_person
+from benchmarks.studies.recordings import UTD, is_examinee, read_person
 from benchmarks.studies.study import Lab, Options, Study, Unit
 from benchmarks.studies.tables import Table, percent, tell_ratio, tell_spread
-from models.data.splits import TRAIN_SUBJECTS
 from models.metrics import Ratio
 
 SUBJECTS = ("1", "2", "3", "4", "5", "6", "7")
@@ -19,9 +18,9 @@ METHODS = {"served": "with judge and gate", "plain": "without"}
 MARGIN = 1.05
 
 
-def find_base(subject: str) -> str:
-    """Name a base that never saw a subject of UTD-MHAD."""
-    return f"without-{UTD}-{subject}" if subject in TRAIN_SUBJECTS else SHIPPED_BASE
+def find_base(person: str) -> str:
+    """Name a base that never saw a person."""
+    return SHIPPED_BASE if is_examinee(person) else f"without-{person.replace('/', '-')}"
 
 
 def plan(_: Options) -> list[Unit]:
@@ -29,8 +28,9 @@ def plan(_: Options) -> list[Unit]:
     return [
         Unit(
             f"subject {subject}, trial {trial}",
-            find_base(subject),
-            {"subject": subject, "trial": trial},
+            find_base(f"{UTD}/{subject}"),
+            f"{UTD}/{subject}",
+            {"trial": trial},
             seconds=85.0,
         )
         for trial in TRIALS
@@ -40,7 +40,7 @@ def plan(_: Options) -> list[Unit]:
 
 def compute(unit: Unit, lab: Lab) -> dict[str, Any]:
     """Fit to one trial and measure on the others."""
-    person, trial = f"{UTD}/{unit.settings['subject']}", unit.settings["trial"]
+    person, trial = unit.person, unit.settings["trial"]
     methods, told = compare_versions(
         lab.read_base(unit.base), read_person(lab.place, person, trial)
     )

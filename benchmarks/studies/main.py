@@ -9,7 +9,7 @@ from benchmarks.studies.cache import Row
 from benchmarks.studies.measured import LAST, Measured, average, join, measure
 from benchmarks.studies.personal import compare_versions
 from benchmarks.studies.recordings import UTD, read_person
-from benchmarks.studies.study import Lab, Options, Study, Unit
+from benchmarks.studies.study import Lab, Options, Study, Unit, subject_of
 from benchmarks.studies.tables import (
     FRAME_COLUMNS,
     RATIO_COLUMNS,
@@ -39,7 +39,8 @@ def plan(_: Options) -> list[Unit]:
         Unit(
             f"{family}-{seed}, subject {subject}",
             f"{family}-{seed}",
-            {"subject": subject, "seed": seed, "family": family},
+            f"{UTD}/{subject}",
+            {"seed": seed, "family": family},
             seconds=85.0,
         )
         for seed in SEEDS
@@ -50,11 +51,11 @@ def plan(_: Options) -> list[Unit]:
 
 def compute(unit: Unit, lab: Lab) -> dict[str, Any]:
     """Fit to trial 1 and measure on the others."""
-    person, seed = f"{UTD}/{unit.settings['subject']}", unit.settings["seed"]
+    person, seed = unit.person, unit.settings["seed"]
     trial = read_person(lab.place, person, PERSONAL_TRIAL)
     methods, told = compare_versions(lab.read_base(unit.base), trial, seed=seed)
     test = read_person(lab.place, person, *TEST_TRIALS)
-    return {**unit.settings, **told, "errors": measure(methods, test).as_json()}
+    return {**told, "errors": measure(methods, test).as_json()}
 
 
 def tell(row: Row) -> str:
@@ -100,7 +101,7 @@ def by_seed(rows: Sequence[Row]) -> dict[int, dict[str, Measured]]:
     sorted_: dict[int, dict[str, Measured]] = {}
     for row in rows:
         found = Measured.from_json(row["errors"])
-        sorted_.setdefault(row["seed"], {})[row["subject"]] = found
+        sorted_.setdefault(row["seed"], {})[subject_of(row)] = found
     return {seed: one for seed, one in sorted_.items() if len(one) == len(TEST_SUBJECTS)}
 
 
@@ -127,7 +128,7 @@ def _compare_with_paper(families: dict[str, list[Row]]) -> Table:
 def _show_errors(family: str, rows: Sequence[Row]) -> Table:
     lines = []
     for subject in TEST_SUBJECTS:
-        own = [Measured.from_json(r["errors"]) for r in rows if r["subject"] == subject]
+        own = [Measured.from_json(r["errors"]) for r in rows if subject_of(r) == subject]
         for method, name in METHODS.items() if own else ():
             errors = np.array([one.cm2(method) for one in own])
             lines.append((subject, name, str(len(own)), *cells(errors.mean(axis=0))))

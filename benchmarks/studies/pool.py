@@ -3,6 +3,7 @@
 import os
 import threading
 import time
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
@@ -16,14 +17,15 @@ Result = TypeVar("Result")
 
 def work(
     function: Callable[[Job], Result], jobs: Sequence[Job], *, at_once: int
-) -> Iterator[tuple[Job, Result]]:
-    """Give each job's result as soon as it is there; with one at once, in this process.
+) -> Iterator[tuple[Job, Result | Exception]]:
+    """Give each job's result, or its error, as soon as it is there.
 
-    Ends at the first job that fails, and with a `KeyboardInterrupt`; those in work are lost then.
+    With one at once all is done in this process. A `KeyboardInterrupt` ends it; jobs in work are
+    lost then.
     """
     if at_once == 1:
         prepare_process()
-        yield from ((job, function(job)) for job in jobs)
+        yield from ((job, _try(function, job)) for job in jobs)
         return
     pool = ProcessPoolExecutor(
         at_once,
@@ -31,7 +33,7 @@ def work(
         initializer=_prepare_child,
         initargs=(os.getpid(),),
     )
-    futures = {pool.submit(function, job): job for job in jobs}
+    futures = {pool.submit(_try, function, job): job for job in jobs}
     try:
         for future in as_completed(futures):
             yield futures[future], future.result()
@@ -39,6 +41,14 @@ def work(
         _end(pool)
         raise
     pool.shutdown()
+
+
+def _try(function: Callable[[Job], Result], job: Job) -> Result | Exception:
+    try:
+        return function(job)
+    except Exception as error:  # noqa: BLE001 - one bad row must not cost the others
+        traceback.print_exc()
+        return error
 
 
 def prepare_process() -> None:

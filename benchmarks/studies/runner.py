@@ -2,19 +2,21 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
-from benchmarks.studies import everybody, growth, main, training, unseen, wild
-from benchmarks.studies.bases import SHIPPED_BASE
+from benchmarks.studies import ablation, everybody, growth, main, seconds, training, unseen, wild
+from benchmarks.studies.bases import SHIPPED_BASE, find_sha256
 from benchmarks.studies.cache import RESULTS, Cache, Row
 from benchmarks.studies.pool import work
-from benchmarks.studies.recordings import Place
+from benchmarks.studies.recordings import Place, is_examinee
 from benchmarks.studies.study import Lab, Options, Study, Unit, key_of
+from models.training import ledger
+from models.training.ledger import record_reading
 
 STUDIES: dict[str, Study] = {
     study.name: study
@@ -25,9 +27,12 @@ STUDIES: dict[str, Study] = {
         unseen.STUDY,
         growth.STUDY,
         wild.STUDY,
+        seconds.STUDY,
+        ablation.STUDY,
     )
 }
 """In the order that gives most evidence first."""
+READINGS = Path(ledger.__file__).with_name("readings.jsonl")
 
 
 @dataclass(frozen=True)
@@ -41,6 +46,7 @@ class Run:
         jobs: processes at once.
         fresh: compute rows that are there as well.
         folder: where rows are kept.
+        ledger: of readings of people who only test.
     """
 
     place: Place
@@ -49,6 +55,7 @@ class Run:
     jobs: int = 2
     fresh: bool = False
     folder: Path = RESULTS
+    ledger: Path = READINGS
 
     def cache(self, study: Study) -> Cache:
         """Give the rows of a study."""
@@ -76,16 +83,43 @@ def run_study(study: Study, run: Run, console: Console) -> list[Row]:
     units = list_missing(study, run)
     cache, lab, began = run.cache(study), Lab(run.place), time.monotonic()
     jobs = [Job(study.name, unit, run.place) for unit in units]
-    for done, (job, row) in enumerate(work(compute, jobs, at_once=run.jobs), start=1):
-        key = key_of(study, job.unit, lab)
-        whole = {"key": key, "unit": job.unit.name, "base": job.unit.base, **row}
-        cache.add(whole)
-        spent = time.monotonic() - began
-        told = f"{study.name} {job.unit.name}: {study.headline(whole)}"
-        console.print(f"[{done}/{len(jobs)}, {spent:.0f} s] {told}", markup=False, highlight=False)
-    if units:
-        cache.tidy()
+    done: list[Unit] = []
+    try:
+        for job, row in work(compute, jobs, at_once=1 if study.alone else run.jobs):
+            done.append(job.unit)
+            told = "failed"
+            if not isinstance(row, Exception):
+                whole = {**name_row(job.unit), "key": key_of(study, job.unit, lab), **row}
+                cache.add(whole)
+                told = study.headline(whole)
+            spent = f"{len(done)}/{len(jobs)}, {time.monotonic() - began:.0f} s"
+            told = f"[{spent}] {study.name} {job.unit.name}: {told}"
+            console.print(told, markup=False, highlight=False)
+    finally:
+        if done:
+            cache.tidy()
+            note_reading(study, done, run)
     return read_rows(study, run)
+
+
+def note_reading(study: Study, units: Sequence[Unit], run: Run) -> None:
+    """Leave a line in the ledger where people were read who only test."""
+    read = [unit for unit in units if unit.person and is_examinee(unit.person)]
+    rows = read_rows(study, run)
+    if not (read and rows):
+        return
+    bases, lab = sorted({unit.base for unit in read}), Lab(run.place)
+    summary = study.summarise(rows)[0]
+    record_reading(
+        run.ledger,
+        what=f"python -m benchmarks.studies {study.name}",
+        config={
+            "people": sorted({unit.person for unit in read}),
+            "bases": {name: find_sha256(lab.recipes[name], run.place) for name in bases if name},
+            "rows": len(read),
+        },
+        figures=asdict(summary),
+    )
 
 
 def compute(job: Job) -> Row:
@@ -93,6 +127,11 @@ def compute(job: Job) -> Row:
     began = time.monotonic()
     row: dict[str, Any] = STUDIES[job.study].compute(job.unit, Lab(job.place))
     return {"seconds": round(time.monotonic() - began, 1), **row}
+
+
+def name_row(unit: Unit) -> Row:
+    """Say what a row is about."""
+    return {"unit": unit.name, "base": unit.base, "person": unit.person, **unit.settings}
 
 
 def train_missing(study: Study, run: Run, console: Console) -> None:
@@ -125,8 +164,9 @@ def describe_missing(study: Study, run: Run) -> Sequence[str]:
     """Say what would be computed, and how long it would take."""
     units = list_missing(study, run)
     lines = [f"{study.name} {unit.name}: {unit.seconds:.0f} s" for unit in units]
-    total = sum(unit.seconds for unit in units) / run.jobs / 60
-    return [*lines, f"{study.name}: {len(units)} rows, about {total:.0f} min with {run.jobs} jobs"]
+    jobs = 1 if study.alone else run.jobs
+    total = sum(unit.seconds for unit in units) / jobs / 60
+    return [*lines, f"{study.name}: {len(units)} rows, about {total:.0f} min with {jobs} jobs"]
 
 
 def _is_named(name: str, patterns: Sequence[str]) -> bool:

@@ -9,7 +9,7 @@ from typing import Any
 from app.personalize.judge import SHARES, JudgeRule
 from benchmarks.studies.bases import Recipe, find_sha256, list_recipes
 from benchmarks.studies.cache import Row, make_key
-from benchmarks.studies.recordings import UTD, Place, hash_collection
+from benchmarks.studies.recordings import Place, hash_collection
 from benchmarks.studies.tables import Table
 from models.familiarity import DIRECTIONS, MOST_POINTS, FamiliarityRule
 from models.training.finetune import FinetuneConfig
@@ -22,18 +22,28 @@ class Unit:
     Attributes:
         name: unique within the study.
         base: the base that it is about; "" for none.
-        settings: everything else that decides it, as JSON can hold it; `compute` reads it.
-        sources: collections that it reads.
+        person: who is measured, such as "utd-mhad/3"; "" for nobody.
+        settings: everything else that decides it, as JSON can hold it.
         seconds: how long it takes on one core, about.
         personal: whether somebody's decoder is fitted.
     """
 
     name: str
     base: str = ""
+    person: str = ""
     settings: Mapping[str, Any] = field(default_factory=dict)
-    sources: tuple[str, ...] = (UTD,)
     seconds: float = 10.0
     personal: bool = True
+
+    @property
+    def subject(self) -> str:
+        """Name the person within the collection."""
+        return self.person.rpartition("/")[2]
+
+    @property
+    def source(self) -> str:
+        """Name the person's collection."""
+        return self.person.partition("/")[0]
 
 
 @dataclass(frozen=True)
@@ -73,7 +83,8 @@ class Study:
         plan: the units.
         compute: what a row holds, besides what names it; runs in a process of its own.
         headline: a row in a line.
-        summarise: the tables, from rows alone.
+        summarise: the tables, from rows alone; the first one is what a ledger of readings keeps.
+        alone: whether times are measured, so that units take turns.
     """
 
     name: str
@@ -83,6 +94,7 @@ class Study:
     compute: Callable[[Unit, Lab], dict[str, Any]]
     headline: Callable[[Row], str]
     summarise: Callable[[Sequence[Row]], list[Table]]
+    alone: bool = False
 
 
 def key_of(study: Study, unit: Unit, lab: Lab) -> str | None:
@@ -95,11 +107,17 @@ def key_of(study: Study, unit: Unit, lab: Lab) -> str | None:
             "study": study.name,
             "version": study.version,
             "base": sha256,
+            "person": unit.person,
             "settings": unit.settings,
-            "data": {source: hash_collection(lab.place, source) for source in unit.sources},
+            "data": hash_collection(lab.place, unit.source) if unit.person else None,
             "fit": _describe_fit() if unit.personal else None,
         }
     )
+
+
+def subject_of(row: Row) -> str:
+    """Name the subject of a row within the collection."""
+    return str(row["person"]).rpartition("/")[2]
 
 
 def _describe_fit() -> dict[str, Any]:

@@ -10,7 +10,7 @@ from benchmarks.studies.everybody import find_base
 from benchmarks.studies.measured import LAST, Measured, measure
 from benchmarks.studies.personal import compare_versions, is_promoted
 from benchmarks.studies.recordings import UTD, read_person
-from benchmarks.studies.study import Lab, Options, Study, Unit
+from benchmarks.studies.study import Lab, Options, Study, Unit, subject_of
 from benchmarks.studies.tables import Table, percent
 from models.data.splits import PERSONAL_TRIAL, TEST_SUBJECTS, TEST_TRIALS
 
@@ -27,27 +27,28 @@ def draw_actions(draw: int) -> list[str]:
 
 def plan(options: Options) -> list[Unit]:
     """List a unit for each subject and draw; other subjects with `--people utd-mhad/3,…`."""
-    subjects = [person.split("/")[1] for person in options.people] or TEST_SUBJECTS
+    people = options.people or tuple(f"{UTD}/{subject}" for subject in TEST_SUBJECTS)
     return [
         Unit(
-            f"subject {subject}, draw {draw}",
-            find_base(subject),
-            {"subject": subject, "draw": draw, "actions": draw_actions(draw)},
+            f"{person}, draw {draw}",
+            find_base(person),
+            person,
+            {"draw": draw, "actions": draw_actions(draw)},
             seconds=55.0,
         )
         for draw in range(DRAWS)
-        for subject in subjects
+        for person in people
     ]
 
 
 def compute(unit: Unit, lab: Lab) -> dict[str, Any]:
     """Fit to half of the actions of trial 1, and measure on all of the other trials."""
-    person, actions = f"{UTD}/{unit.settings['subject']}", set(unit.settings["actions"])
+    person, actions = unit.person, set(unit.settings["actions"])
     trial = read_person(lab.place, person, PERSONAL_TRIAL)
     half = [clip for clip in trial if clip.action in actions]
     methods, told = compare_versions(lab.read_base(unit.base), half)
     test = read_person(lab.place, person, *TEST_TRIALS)
-    return {**unit.settings, **told, "errors": measure(methods, test).as_json()}
+    return {**told, "errors": measure(methods, test).as_json()}
 
 
 def split(row: Row) -> dict[str, Measured]:
@@ -72,7 +73,9 @@ def tell(row: Row) -> str:
 
 def summarise(rows: Sequence[Row]) -> list[Table]:
     """Give means and the worst draw, by subject and over all."""
-    groups = {row["subject"]: [r for r in rows if r["subject"] == row["subject"]] for row in rows}
+    groups = {
+        subject_of(row): [r for r in rows if subject_of(r) == subject_of(row)] for row in rows
+    }
     if len(groups) > 1:
         groups["all"] = list(rows)
     lines = [line for name, own in groups.items() for line in _summarise_group(name, own)]

@@ -37,21 +37,19 @@ def plan(_: Options) -> list[Unit]:
 
 
 def _unit(part: str, person: str, base: str) -> Unit:
-    source = person.split("/", maxsplit=1)[0]
-    settings = {"part": part, "person": person}
-    return Unit(f"{part}, {person}", base, settings, (source,), seconds=8.0, personal=False)
+    return Unit(f"{part}, {person}", base, person, {"part": part}, seconds=8.0, personal=False)
 
 
 def compute(unit: Unit, lab: Lab) -> dict[str, Any]:
     """Measure a base on a person, or a version of that person on the later halves of clips."""
-    clips, base = read_person(lab.place, unit.settings["person"]), lab.read_base(unit.base)
+    clips, base = read_person(lab.place, unit.person), lab.read_base(unit.base)
     methods: dict[str, Forecaster] = {"base": load_checkpoint(base).predictor}
     told: dict[str, Any] = {}
     if unit.settings["part"] == PERSONAL:
         clips, learn = cut_later(clips), cut_earlier(clips)
         served = make_served(base, learn)
         methods["served"], told = served.forecaster, served.describe()
-    return {**unit.settings, **told, "errors": measure(methods, clips).as_json()}
+    return {**told, "errors": measure(methods, clips).as_json()}
 
 
 def cut_earlier(clips: Sequence[Clip]) -> list[Clip]:
