@@ -30,6 +30,7 @@ from models.predictor import Predictor
 from models.training.bootstrap import bootstrap_ratios
 from models.training.finetune import FinetuneConfig, blend
 
+EVERY_PART = "every part"
 METHODS = {"base": "base", "plain": "fitted", "gated": f"fitted, {SHARES[0]:.0%} and gated"}
 THAWED_RATES = (3e-3, 1e-3, 3e-4)
 """Peaks of the rate for fits of the whole net; the first one is that of a decoder's fit."""
@@ -37,13 +38,20 @@ THAWED_RATES = (3e-3, 1e-3, 3e-4)
 
 def plan(_: Options) -> list[Unit]:
     """List a unit for each base, and for fits of the whole net."""
+    person = LEFT_OUT_OF_ABLATIONS
+    full = Unit(EVERY_PART, FULL_ABLATION, person, seconds=40.0)
+    thawed = [
+        Unit(
+            f"whole net fitted, rate {rate:g}",
+            FULL_ABLATION,
+            person,
+            {"thaw_rate": rate},
+            seconds=60.0,
+        )
+        for rate in THAWED_RATES
+    ]
     names = [name for name in list_recipes() if name.startswith("ablation-")]
-    units = [Unit(name, name, LEFT_OUT_OF_ABLATIONS, seconds=40.0) for name in names]
-    for rate in THAWED_RATES:
-        name = f"whole net fitted, rate {rate:g}"
-        settings = {"thaw_rate": rate}
-        units.insert(1, Unit(name, FULL_ABLATION, LEFT_OUT_OF_ABLATIONS, settings, seconds=60.0))
-    return units
+    return [full, *thawed, *(Unit(name, name, person, seconds=40.0) for name in names)]
 
 
 def compute(unit: Unit, lab: Lab) -> dict[str, Any]:
@@ -78,7 +86,7 @@ def tell(row: Row) -> str:
 
 def summarise(rows: Sequence[Row]) -> list[Table]:
     """Divide each row's errors by those with every part."""
-    full = [Measured.from_json(row["errors"]) for row in rows if row["unit"] == FULL_ABLATION]
+    full = [Measured.from_json(row["errors"]) for row in rows if row["unit"] == EVERY_PART]
     errors = Table(
         f"cm² at frame {LAST} on {LEFT_OUT_OF_ABLATIONS}, fitted to trial 1, tested on 2 to 4",
         ("", *METHODS.values()),
@@ -96,7 +104,7 @@ def summarise(rows: Sequence[Row]) -> list[Table]:
 
 
 def _divide(rows: Sequence[Row], full: Measured) -> Table:
-    title = f"Error ÷ that of {FULL_ABLATION} at frame {LAST}, with a bootstrap over clips"
+    title = f"Error ÷ that with every part at frame {LAST}, with a bootstrap over clips"
     lines = [(unit, *map(tell_ratio, ratios)) for unit, ratios in _compare(rows, full, LAST)]
     return Table(title, ("", *METHODS.values()), lines)
 
@@ -114,7 +122,7 @@ def _divide_means(rows: Sequence[Row], full: Measured) -> Table:
     heads = (
         f"{name}, {part}" for name in METHODS.values() for part in (f"frame {FRAMES[0]}", "mean")
     )
-    return Table(f"Error ÷ that of {FULL_ABLATION}", ("", *heads), lines)
+    return Table("Error ÷ that with every part", ("", *heads), lines)
 
 
 def _compare(rows: Sequence[Row], full: Measured, frame: int) -> Iterator[tuple[str, list[Any]]]:

@@ -48,8 +48,9 @@ BUDGET_STEPS = 1_200
 STEP_S = 0.2
 """A step on one core, about."""
 SHIPPED_BASE = "shipped-0"
-FULL_ABLATION = "ablation-full"
 LEFT_OUT_OF_ABLATIONS = "utd-mhad/7"
+FULL_ABLATION = f"without-{LEFT_OUT_OF_ABLATIONS.replace('/', '-')}"
+"""The base with every part that ablations are compared with."""
 _VERSION = 1
 
 
@@ -139,7 +140,7 @@ def _list_ablations(full: PretrainConfig) -> dict[str, tuple[PretrainConfig, str
         "no-tempo": without_augmentation(full, "tempo", "slow"),
         "no-average": replace(full, average=0.0),
     }
-    found = {"full": (full, "")} | parts | {name: (one, "") for name, one in settings.items()}
+    found = parts | {name: (one, "") for name, one in settings.items()}
     return {f"ablation-{name}": value for name, value in found.items()}
 
 

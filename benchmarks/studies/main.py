@@ -1,12 +1,13 @@
 """The protocol of the paper: base and personal versions on subjects 2, 4 and 6, over seeds."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from benchmarks.studies.cache import Row
 from benchmarks.studies.measured import LAST, Measured, average, join, measure
+from benchmarks.studies.peers import RIDGE, make_ridge
 from benchmarks.studies.personal import compare_versions
 from benchmarks.studies.recordings import UTD, read_person
 from benchmarks.studies.study import Lab, Options, Study, Unit, subject_of
@@ -20,62 +21,102 @@ from benchmarks.studies.tables import (
 )
 from models.data.splits import PERSONAL_TRIAL, TEST_SUBJECTS, TEST_TRIALS
 from models.metrics import FRAMES
+from models.training.bootstrap import bootstrap_ratios
 from models.training.evaluate import PUBLISHED
 
-FAMILIES = ("shipped", "paper")
+SHIPPED, PAPER = "shipped", "paper"
+FAMILIES = (SHIPPED, PAPER)
+"""Bases by who trained them: everybody, or the paper's four people."""
 SEEDS = (0, 1, 2)
+Seeds = dict[int, dict[str, Measured]]
+"""What was measured with bases of a family: by seed and subject."""
 METHODS = {
     "base": "base",
     "served": "personal, with judge and gate",
     "plain": "personal, without",
 }
 PAPER_ROWS = {"base": "paper: base", "served": "paper: personal", "plain": "paper: personal"}
+PAIRS = (
+    *(
+        ((family, method), (family, reference))
+        for family in FAMILIES
+        for method, reference in (("served", "base"), ("plain", "base"), ("served", "plain"))
+    ),
+    ((SHIPPED, "base"), (PAPER, "base")),
+    ((SHIPPED, "served"), (PAPER, "served")),
+    ((PAPER, "base"), (RIDGE, "base")),
+    ((PAPER, "served"), (RIDGE, "plain")),
+)
+"""What is divided by what, as (family, method)."""
 EARLY, LATE = (2, 4), (8, 10, 13, 15)
 
 
 def plan(_: Options) -> list[Unit]:
-    """List a unit for each base and subject."""
-    return [
-        Unit(
-            f"{family}-{seed}, subject {subject}",
-            f"{family}-{seed}",
-            f"{UTD}/{subject}",
-            {"seed": seed, "family": family},
-            seconds=85.0,
-        )
+    """List a unit for each base and subject, and for each peer."""
+    units = [
+        _unit(family, seed, subject)
         for seed in SEEDS
         for family in FAMILIES
         for subject in TEST_SUBJECTS
     ]
+    return [*units, *(_unit(RIDGE, 0, subject) for subject in TEST_SUBJECTS)]
+
+
+def _unit(family: str, seed: int, subject: str) -> Unit:
+    name, settings = f"{family}-{seed}", {"seed": seed, "family": family}
+    is_peer = family not in FAMILIES
+    return Unit(
+        f"{name}, subject {subject}",
+        "" if family == RIDGE else name,
+        f"{UTD}/{subject}",
+        settings,
+        seconds=15.0 if is_peer else 85.0,
+        personal=not is_peer,
+    )
 
 
 def compute(unit: Unit, lab: Lab) -> dict[str, Any]:
     """Fit to trial 1 and measure on the others."""
-    person, seed = unit.person, unit.settings["seed"]
-    trial = read_person(lab.place, person, PERSONAL_TRIAL)
-    methods, told = compare_versions(lab.read_base(unit.base), trial, seed=seed)
-    test = read_person(lab.place, person, *TEST_TRIALS)
+    trial = read_person(lab.place, unit.person, PERSONAL_TRIAL)
+    test = read_person(lab.place, unit.person, *TEST_TRIALS)
+    told: dict[str, Any] = {}
+    if unit.settings["family"] == RIDGE:
+        methods = make_ridge(lab.recipes[f"{PAPER}-0"].select(lab.place), trial)
+    else:
+        base, seed = lab.read_base(unit.base), unit.settings["seed"]
+        methods, told = compare_versions(base, trial, seed=seed)
     return {**told, "errors": measure(methods, test).as_json()}
 
 
 def tell(row: Row) -> str:
     """Write a row in a line."""
     found = Measured.from_json(row["errors"])
-    errors = [f"{method} {found.cm2(method)[-1]:.2f}" for method in METHODS]
-    return f"{row['verdict']}, cm² at frame {LAST}: {', '.join(errors)}"
+    errors = [f"{method} {found.cm2(method)[-1]:.2f}" for method in METHODS if method in found.sums]
+    return f"{row.get('verdict', 'peer')}, cm² at frame {LAST}: {', '.join(errors)}"
 
 
 def summarise(rows: Sequence[Row]) -> list[Table]:
     """Compare with the paper's rows, show the table, and compare methods on the same clips."""
-    families = {row["family"]: [r for r in rows if r["family"] == row["family"]] for row in rows}
+    families = {row["family"]: by_seed(rows, row["family"]) for row in rows}
+    families = {family: seeds for family, seeds in families.items() if seeds}
     return [
         _compare_with_paper(families),
-        *(_show_errors(family, own) for family, own in families.items()),
         _compare_methods(families),
+        *(_show_errors(family, list(seeds.values())) for family, seeds in families.items()),
     ]
 
 
-def compare_with_paper(found: dict[str, Measured], method: str) -> dict[str, float]:
+def by_seed(rows: Sequence[Row], family: str) -> Seeds:
+    """Sort a family's rows by seed and subject; seeds that lack a subject are left out."""
+    seeds: Seeds = {}
+    for row in rows:
+        if row["family"] == family:
+            found = Measured.from_json(row["errors"])
+            seeds.setdefault(row["seed"], {})[subject_of(row)] = found
+    return {seed: one for seed, one in seeds.items() if len(one) == len(TEST_SUBJECTS)}
+
+
+def compare_with_paper(found: Mapping[str, Measured], method: str) -> dict[str, float]:
     """Divide by the paper's rows: mean over the late cells and the early ones, and the worst.
 
     Args:
@@ -96,24 +137,22 @@ def compare_with_paper(found: dict[str, Measured], method: str) -> dict[str, flo
     }
 
 
-def by_seed(rows: Sequence[Row]) -> dict[int, dict[str, Measured]]:
-    """Sort what was measured by seed and subject; seeds that lack a subject are left out."""
-    sorted_: dict[int, dict[str, Measured]] = {}
-    for row in rows:
-        found = Measured.from_json(row["errors"])
-        sorted_.setdefault(row["seed"], {})[subject_of(row)] = found
-    return {seed: one for seed, one in sorted_.items() if len(one) == len(TEST_SUBJECTS)}
+def pool(seeds: Seeds) -> Measured:
+    """Average each clip over seeds, and put the subjects together."""
+    return join([average([one[subject] for one in seeds.values()]) for subject in TEST_SUBJECTS])
 
 
-def _compare_with_paper(families: dict[str, list[Row]]) -> Table:
+def _list_methods(found: Measured) -> dict[str, str]:
+    return {method: name for method, name in METHODS.items() if method in found.sums}
+
+
+def _compare_with_paper(families: Mapping[str, Seeds]) -> Table:
     lines = []
-    for family, rows in families.items():
-        seeds = by_seed(rows).values()
-        for method, name in METHODS.items():
-            if seeds:
-                found = [compare_with_paper(one, method) for one in seeds]
-                spread = (tell_spread([one[part] for one in found]) for part in found[0])
-                lines.append((f"{family}, {name}", PAPER_ROWS[method], str(len(found)), *spread))
+    for family, seeds in families.items():
+        for method, name in _list_methods(pool(seeds)).items():
+            found = [compare_with_paper(one, method) for one in seeds.values()]
+            spread = (tell_spread([one[part] for one in found]) for part in found[0])
+            lines.append((f"{family}, {name}", PAPER_ROWS[method], str(len(found)), *spread))
     columns = (
         "trained on, method",
         "divided by",
@@ -125,30 +164,29 @@ def _compare_with_paper(families: dict[str, list[Row]]) -> Table:
     return Table("Error ÷ the paper's, mean and range over seeds", columns, lines)
 
 
-def _show_errors(family: str, rows: Sequence[Row]) -> Table:
+def _show_errors(family: str, seeds: Sequence[Mapping[str, Measured]]) -> Table:
     lines = []
     for subject in TEST_SUBJECTS:
-        own = [Measured.from_json(r["errors"]) for r in rows if subject_of(r) == subject]
-        for method, name in METHODS.items() if own else ():
+        own = [one[subject] for one in seeds]
+        for method, name in _list_methods(own[0]).items():
             errors = np.array([one.cm2(method) for one in own])
-            lines.append((subject, name, str(len(own)), *cells(errors.mean(axis=0))))
+            lines.append((subject, name, str(len(own)), *cells(errors.mean(axis=0).tolist())))
     columns = ("subject", "method", "seeds", *FRAME_COLUMNS)
     return Table(f"cm², mean over frames 1..k: {family}, mean over seeds", columns, lines)
 
 
-def _compare_methods(families: dict[str, list[Row]]) -> Table:
-    """Compare on the same clips; errors of a clip are means over seeds."""
+def _compare_methods(families: Mapping[str, Seeds]) -> Table:
+    pooled = {family: pool(seeds) for family, seeds in families.items()}
     lines = []
-    for family, rows in families.items():
-        seeds = by_seed(rows).values()
-        if not seeds:
-            continue
-        found = join([average([one[s] for one in seeds]) for s in TEST_SUBJECTS])
-        for method, reference in (("served", "base"), ("plain", "base"), ("served", "plain")):
-            ratios = found.compare(method, reference)
-            name = f"{family}: {METHODS[method]} ÷ {METHODS[reference]}"
+    for (family, method), (other, reference) in PAIRS:
+        if family in pooled and other in pooled:
+            ratios = bootstrap_ratios(pooled[family].sums[method], pooled[other].sums[reference])
+            name = f"{family}, {METHODS[method]} ÷ {other}, {METHODS[reference]}"
             lines.append((name, *tell_ratios(ratios)))
-    title = "Ratios on the same clips of subjects 2, 4, 6, with a bootstrap over clips"
+    title = (
+        f"Ratios on the same clips of subjects {', '.join(TEST_SUBJECTS)}, errors of a clip "
+        "averaged over seeds, with a bootstrap over clips"
+    )
     return Table(title, ("", *RATIO_COLUMNS), lines)
 
 
