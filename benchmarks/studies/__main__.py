@@ -11,13 +11,22 @@ that are kept, without recordings.
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
 
 from benchmarks.studies.recordings import Place
-from benchmarks.studies.runner import STUDIES, Run, describe_missing, read_rows, run_study
+from benchmarks.studies.runner import (
+    STUDIES,
+    Run,
+    describe_missing,
+    list_missing,
+    read_rows,
+    run_study,
+)
 from benchmarks.studies.study import Options, Study
+from benchmarks.studies.tables import Table
 
 
 def main() -> None:
@@ -33,27 +42,34 @@ def main() -> None:
     )
     console = Console(soft_wrap=True)
     try:
-        for name in chosen:
-            _do(STUDIES[name], run, arguments, console)
+        whole = [_do(STUDIES[name], run, arguments, console) for name in chosen]
     except KeyboardInterrupt:
         console.print("Ended; the rows that are there are kept.")
         sys.exit(130)
+    sys.exit(0 if all(whole) else 1)
 
 
-def _do(study: Study, run: Run, arguments: argparse.Namespace, console: Console) -> None:
+def _do(study: Study, run: Run, arguments: argparse.Namespace, console: Console) -> bool:
+    """Do what was asked for with a study; tell whether all of it could be done."""
     if arguments.list:
         console.print("\n".join(describe_missing(study, run)), markup=False, highlight=False)
-        return
+        return True
     is_report = arguments.report or arguments.markdown
     rows = read_rows(study, run) if is_report else run_study(study, run, console)
     if not rows:
         console.print(f"{study.name}: no rows yet; `make study-{study.name}`")
-        return
-    for table in study.summarise(rows):
-        if arguments.markdown:
-            console.print(table.as_markdown(), markup=False, highlight=False)
-        else:
-            table.show(console)
+    else:
+        console.print(f"{study.name}: {study.question}", style="bold", highlight=False)
+    for table in study.summarise(rows) if rows else ():
+        _print(table, console, is_markdown=arguments.markdown)
+    return bool(is_report) or not list_missing(study, replace(run, fresh=False))
+
+
+def _print(table: Table, console: Console, *, is_markdown: bool) -> None:
+    if is_markdown:
+        console.print(table.as_markdown(), markup=False, highlight=False)
+    else:
+        table.show(console)
 
 
 def _parse() -> argparse.Namespace:

@@ -14,20 +14,20 @@ from models.training.finetune import FinetuneConfig
 from tests.nets import SMALL
 
 ACTIONS = ("wave", "squat", "punch", "throw", "reach")
-FRAMES = 70
+FRAMES, LONG = 70, 140
 
 
-def write_collection(path, subjects, trials):
+def write_collection(path, subjects, trials, *, frames=FRAMES):
     takes = [(s, a, t) for s in subjects for a in range(len(ACTIONS)) for t in trials]
     poses = [
-        SyntheticPerson(subject).record(ACTIONS[action], FRAMES / 30, take=trial)
+        SyntheticPerson(subject).record(ACTIONS[action], frames / 30, take=trial)
         for subject, action, trial in takes
     ]
     names = np.array([[str(s), str(a + 1), str(t)] for s, a, t in takes])
     np.savez(
         path,
         frames=np.concatenate(poses),
-        lengths=np.full(len(poses), FRAMES),
+        lengths=np.full(len(poses), frames),
         subject=names[:, 0],
         action=names[:, 1],
         trial=names[:, 2],
@@ -39,8 +39,8 @@ def write_collection(path, subjects, trials):
 def place(tmp_path_factory):
     folder = tmp_path_factory.mktemp("collections")
     write_collection(folder / "utd-mhad.npz", range(1, 8), range(1, 5))
-    write_collection(folder / "precog.npz", (1, 7), (1,))
-    write_collection(folder / "wmft.npz", (1, 15), (1,))
+    write_collection(folder / "precog.npz", (1, 7), (1,), frames=LONG)
+    write_collection(folder / "wmft.npz", (1, 15), (1,), frames=LONG)
     return Place(folder / "utd-mhad.npz", folder)
 
 
