@@ -30,7 +30,7 @@ class FamiliarityRule:
         width: how gently it falls.
     """
 
-    half: float = 1.8
+    half: float = 1.6
     width: float = 0.3
 
 
