@@ -57,9 +57,13 @@ class Lab:
         """Give every base by its name."""
         return list_recipes()
 
+    def find_base(self, name: str) -> Path:
+        """Say where the file of a base is, or will be."""
+        return self.recipes[name].path(self.place)
+
     def read_base(self, name: str) -> bytes:
         """Give the file of a base that was trained."""
-        return _read(self.recipes[name].path(self.place))
+        return _read(self.find_base(name))
 
 
 @dataclass(frozen=True)

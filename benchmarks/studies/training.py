@@ -12,7 +12,7 @@ from benchmarks.studies.tables import Table
 def plan(_: Options) -> list[Unit]:
     """List the bases that are not shipped, those that give most evidence first."""
     return [
-        Unit(name, seconds=recipe.seconds, personal=False)
+        Unit(name, settings={"name": name}, seconds=recipe.seconds, personal=False)
         for name, recipe in sorted(list_recipes().items(), key=lambda pair: _order(pair[0]))
         if name != SHIPPED_BASE
     ]
