@@ -60,8 +60,11 @@ def dump_checkpoint(
     radius: RadiusTable | None = None,
     adversary: Adversary | None = None,
 ) -> bytes:
-    """Serialise a net with its metadata; the same input gives the same bytes."""
-    tensors = {_NET + name: t.contiguous() for name, t in predictor.state_dict().items()}
+    """Serialise a net with its metadata; the same input gives the same bytes.
+
+    What 16 bits hold without loss is stored in 16 bits.
+    """
+    tensors = {_NET + name: _shrink(t) for name, t in predictor.state_dict().items()}
     if adversary is not None:
         state = adversary.state_dict()
         tensors |= {_ADVERSARY + name: t.contiguous() for name, t in state.items()}

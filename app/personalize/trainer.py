@@ -31,7 +31,7 @@ from models.familiarity import Familiarity
 from models.metrics import FRAMES
 from models.personal import PersonalDecoder
 from models.predictor import Predictor
-from models.runtime.pack import round_matrices
+from models.rounding import round_matrices
 from models.training.finetune import FinetuneConfig, FinetuneProgress, blend, finetune
 from models.uncertainty import fit_scale
 

@@ -13,7 +13,7 @@ from models.checkpoint import SHIPPED, Checkpoint, dump_personal, load_checkpoin
 from models.data.synthetic import SyntheticPerson
 from models.personal import PersonalDecoder
 from models.predictor import Predictor
-from models.runtime.pack import round_matrices
+from models.rounding import round_matrices
 from models.spec import MotionSpec
 
 SPEC = MotionSpec()

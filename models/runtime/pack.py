@@ -125,26 +125,6 @@ def pack_gate(gate: Familiarity) -> Packed:
     return _align(b"".join(np.ascontiguousarray(part, np.float32).tobytes() for part in parts))
 
 
-@torch.no_grad()
-def round_matrices(decoder: Decoder) -> None:
-    """Round a decoder's matrices to bfloat16, so that nothing is lost when they are kept so."""
-    tree, cell, attention = decoder.predict, decoder.cell, decoder.attention
-    for matrix in (
-        decoder.start.weight,
-        decoder.token_z.weight,
-        decoder.token_c.weight,
-        decoder.token_h.weight,
-        attention.project.weight,
-        attention.mix.weight,
-        cell.weight_ih,
-        cell.weight_hh,
-        tree.from_state.weight,
-        *tree.from_ancestors,
-        tree.to_offset,
-    ):
-        matrix.copy_(matrix.bfloat16().float())
-
-
 def _find_kind(matrices: Sequence[Float[np.ndarray, "..."]]) -> Kind:
     """Find the shortest kind of numbers that holds all of these without loss."""
     if all(_is_brief(matrix) for matrix in matrices):

@@ -28,7 +28,7 @@ from app.live.shelf import Shelf
 from models.arithmetic import arithmetic
 from models.baselines import Forecaster
 from models.checkpoint import SHIPPED, dump_personal, load_checkpoint
-from models.runtime.pack import round_matrices
+from models.rounding import round_matrices
 
 STREAM_S = 3.0
 _FIND_EVERY = 500

@@ -14,7 +14,7 @@ from app.storage.database import Database
 from app.storage.versions import NewVersion
 from models.checkpoint import SHIPPED, Checkpoint, dump_personal, load_checkpoint
 from models.decoder import Decoder
-from models.runtime.pack import round_matrices
+from models.rounding import round_matrices
 
 SPREAD = 0.02
 """How far the weights of different people are apart, as a part of the base's."""

@@ -13,9 +13,10 @@ from models.decoder import Decoder
 from models.familiarity import Familiarity, FamiliarityRule
 from models.personal import PersonalDecoder
 from models.predictor import NetConfig, Predictor
+from models.rounding import round_matrices
 from models.runtime import fused
 from models.runtime.fused import PROCESSORS, PackedPerson, find_packed, forecast_fused
-from models.runtime.pack import KINDS, find_packed_kind, pack_decoder, pack_gate, round_matrices
+from models.runtime.pack import KINDS, find_packed_kind, pack_decoder, pack_gate
 from tests.nets import SMALL
 from tests.unit.models.conftest import believable_motion
 

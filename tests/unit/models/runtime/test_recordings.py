@@ -11,8 +11,9 @@ from models.checkpoint import SHIPPED, load_checkpoint
 from models.data.clips import load_clips
 from models.data.windows import cut_windows
 from models.personal import PersonalDecoder
+from models.rounding import round_matrices
 from models.runtime.fused import PROCESSORS, PackedPerson, find_packed, forecast_fused
-from models.runtime.pack import KINDS, Kind, pack_decoder, round_matrices
+from models.runtime.pack import KINDS, Kind, pack_decoder
 from models.spec import MotionSpec
 
 pytestmark = pytest.mark.skipif(not PROCESSORS, reason="no kernel was built for this processor")

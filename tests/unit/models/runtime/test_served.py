@@ -7,9 +7,9 @@ import torch
 from app.live.decoders import Computed, Decoders, read_bones
 from models.checkpoint import dump_personal, load_personal
 from models.personal import PersonalDecoder
+from models.rounding import round_matrices
 from models.runtime import fused
 from models.runtime.fused import PROCESSORS
-from models.runtime.pack import round_matrices
 from models.runtime.served import ServedDecoder
 from tests.unit.models.runtime.test_fused import NET, PEOPLE, WINDOWS, make_gate, make_net, vary
 
