@@ -36,6 +36,12 @@ LAZY = (
         "Train a base model on recordings (phase 1).",
     ),
     Lazy(
+        "pretrain-peer",
+        "app.commands.peer",
+        "pretrain_peer_command",
+        "Train siMLPe, which a base is compared with.",
+    ),
+    Lazy(
         "calibrate",
         "app.commands.training",
         "calibrate_command",

@@ -18,7 +18,7 @@ from models.training.calibrate import calibrate
 from models.training.config import PretrainConfig
 from models.training.pretrain import choose_device, pretrain, write_pretrained
 
-_TRAIN_SUBJECTS = ",".join(TRAIN_SUBJECTS)
+TRAINED_ON = ",".join(TRAIN_SUBJECTS)
 Data = Annotated[
     Path, typer.Option(help="Folder or zip of UTD-MHAD, or an .npz of the documented keys.")
 ]
@@ -33,7 +33,7 @@ Json = Annotated[Path | None, typer.Option("--json", help="Write the figures her
 def pretrain_command(
     data: Data,
     out_file: Annotated[Path, typer.Option("--out", help="The checkpoint to write.")],
-    subjects: Subjects = _TRAIN_SUBJECTS,
+    subjects: Subjects = TRAINED_ON,
     mix: Mix = None,
     leave_out: Annotated[
         str, typer.Option(help="People to validate on and never train on, such as utd-mhad/7.")
@@ -55,7 +55,7 @@ def pretrain_command(
     clips = read_clips(data, subjects)
     if mix is not None:
         clips += without_examination(read_clips(mix, None))
-    left_out = [_person(name) for name in leave_out.split(",") if name]
+    left_out = parse_people(leave_out)
     state = out_file.with_suffix(".state")
     if state.exists():
         out.print(f"Going on from {state}")
@@ -65,7 +65,7 @@ def pretrain_command(
             result = pretrain(clips, config, leave_out=left_out, report=report, state=state)
         except ValueError as error:
             fail(str(error), status=2)
-    sha256 = write_pretrained(out_file, result, command=_command_line())
+    sha256 = write_pretrained(out_file, result, command=command_line())
     state.unlink(missing_ok=True)
     out.print(f"{out_file}  {out_file.stat().st_size / 1e6:.2f} MB  sha256 {sha256}")
 
@@ -89,6 +89,16 @@ def calibrate_command(
     )
     at = float(radius.radius(0.9)[-1].mean()) * 100
     out.print(f"{model}  sha256 {sha256}\nradius at 0.5 s and coverage 0.9: {at:.1f} cm on average")
+
+
+def parse_people(names: str) -> list[tuple[str, str]]:
+    """Read people, such as utd-mhad/7,precog/5, as (source, subject); on failure exit."""
+    return [_person(name) for name in names.split(",") if name]
+
+
+def command_line() -> str:
+    """Give the command that runs, for the metadata of what it makes."""
+    return shlex.join(["kinecast", *sys.argv[1:]])
 
 
 def progress_bar(name: str) -> "_Bar":
@@ -141,7 +151,3 @@ def _person(name: str) -> tuple[str, str]:
     if not slash:
         fail(f"{name!r} is no person: write collection/subject, such as utd-mhad/7", status=2)
     return source, subject
-
-
-def _command_line() -> str:
-    return shlex.join(["kinecast", *sys.argv[1:]])
