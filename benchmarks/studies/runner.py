@@ -84,6 +84,9 @@ def run_study(study: Study, run: Run, console: Console) -> list[Row]:
     Rows whose base is there come first; then the other bases are trained.
     """
     missing = list_missing(study, run)
+    if study is training.STUDY and run.fresh:
+        for unit in missing:
+            Lab(run.place).find_base(unit.name).unlink(missing_ok=True)
     absent = list_absent(missing, run)
     compute_rows(study, [unit for unit in missing if unit.base not in absent], run, console)
     if absent:
@@ -160,8 +163,14 @@ def list_missing(study: Study, run: Run) -> list[Unit]:
         return units
     lab, known = Lab(run.place), run.cache(study).read()
     if study is training.STUDY:
-        return [unit for unit in units if not lab.find_base(unit.name).exists()]
+        trained = {row["recipe"] for row in known.values()}
+        return [unit for unit in units if not _is_trained(unit, lab, trained)]
     return [unit for unit in units if key_of(study, unit, lab) not in known]
+
+
+def _is_trained(unit: Unit, lab: Lab, trained: set[str]) -> bool:
+    recipe = lab.recipes[unit.name]
+    return recipe.key(lab.place) in trained and lab.find_base(unit.name).exists()
 
 
 def read_rows(study: Study, run: Run) -> list[Row]:

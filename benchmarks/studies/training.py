@@ -46,7 +46,7 @@ def summarise(rows: Sequence[Row]) -> list[Table]:
 
 
 def _order(name: str) -> int:
-    order = ("without-utd-mhad-", "shipped-", "without-", "paper-", "ablation-")
+    order = ("without-utd-mhad-", "shipped-", "without-", "paper-", "simlpe-", "ablation-")
     return next(place for place, start in enumerate(order) if name.startswith(start))
 
 
