@@ -5,6 +5,8 @@ import os
 import sys
 import threading
 from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
 from time import monotonic
 from typing import Any, BinaryIO
 
@@ -12,13 +14,14 @@ from app.personalize.run import Trainer, run_task
 from app.worker.messages import Done, Failed, Progress, pack, read_start
 
 TELL_EVERY_S = 0.25
+AUTOGROUP = Path("/proc/self/autogroup")
 ORPHANED = 3
 """Exit status of a process whose worker is gone."""
 
 
 def main() -> None:
     """Read the task, run it, tell how far it is, and tell its end."""
-    os.nice(int(sys.argv[1]))
+    step_back(int(sys.argv[1]))
     receive, send = sys.stdin.buffer, sys.stdout.buffer
     sys.stdout = sys.stderr  # whatever a library prints must not get between the messages
     start = read_start(receive)
@@ -37,6 +40,19 @@ def find_trainer(path: str) -> Trainer:
     module, _, name = path.partition(":")
     trainer: Trainer = getattr(importlib.import_module(module), name)
     return trainer
+
+
+def step_back(nice: int) -> None:
+    """Let forecasting go first, by niceness.
+
+    Where Linux shares the processor among sessions first (its autogroups, see sched(7)), niceness
+    counts within a session alone, and a training process, which has one of its own, would get as
+    much as the service however nice it is: so the session steps back as well.
+    """
+    os.nice(nice)
+    if os.getsid(0) == os.getpid():
+        with suppress(OSError):
+            AUTOGROUP.write_text(str(nice))
 
 
 class _Teller:

@@ -19,6 +19,7 @@ from benchmarks.studies.tables import FRAME_COLUMNS, Table, cells
 from models.arithmetic import arithmetic
 from models.baselines import Forecaster
 from models.checkpoint import load_checkpoint
+from models.correction import KernelCorrection
 from models.data.clips import Clip
 from models.data.splits import PERSONAL_TRIAL, TEST_SUBJECTS, TEST_TRIALS
 from models.personal import PersonalDecoder
@@ -32,7 +33,7 @@ ENCODING_SHARE = 0.3
 """Part of a budget that copies of windows may take to be encoded."""
 TIMED = f"{UTD}/7"
 Correct = Callable[[Predictor, Sequence[Clip]], Forecaster]
-CORRECTIONS: dict[str, Correct] = {}
+CORRECTIONS: dict[str, Correct] = {"closed form": KernelCorrection.fit}
 """Personal versions in closed form, by name; each becomes a line beside the fits."""
 METHODS = {"plain": "fitted", "gated": f"{SHARES[0]:.0%} and gated"}
 
