@@ -48,7 +48,7 @@ FOLDER = Path("build/studies/bases")
 FULL_STEPS = PretrainConfig().steps
 BUDGET_STEPS = 1_200
 """About five minutes of a core: enough to compare by, see models/training/LOG.md."""
-STEP_S, PEER_STEP_S = 0.2, 0.09
+STEP_S, PEER_STEP_S = 0.3, 0.09
 """A step on one core, about."""
 SHIPPED_BASE = "shipped-0"
 LEFT_OUT_OF_ABLATIONS = "utd-mhad/7"

@@ -161,11 +161,12 @@ def list_missing(study: Study, run: Run) -> list[Unit]:
     units = run.plan(study)
     if run.fresh:
         return units
-    lab, known = Lab(run.place), run.cache(study).read()
+    lab, known = Lab(run.place), run.cache(study).read().values()
     if study is training.STUDY:
-        trained = {row["recipe"] for row in known.values()}
+        trained = {row["recipe"] for row in known}
         return [unit for unit in units if not _is_trained(unit, lab, trained)]
-    return [unit for unit in units if key_of(study, unit, lab) not in known]
+    keys = {row["key"] for row in known}
+    return [unit for unit in units if key_of(study, unit, lab) not in keys]
 
 
 def _is_trained(unit: Unit, lab: Lab, trained: set[str]) -> bool:
@@ -175,8 +176,8 @@ def _is_trained(unit: Unit, lab: Lab, trained: set[str]) -> bool:
 
 def read_rows(study: Study, run: Run) -> list[Row]:
     """Give the rows that are there, in the order of the plan."""
-    latest = {row["unit"]: row for row in run.cache(study).read().values()}
-    return [latest[unit.name] for unit in study.plan(run.options) if unit.name in latest]
+    rows = run.cache(study).read()
+    return [rows[unit.name] for unit in study.plan(run.options) if unit.name in rows]
 
 
 def describe_missing(study: Study, run: Run) -> Sequence[str]:
