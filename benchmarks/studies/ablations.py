@@ -14,13 +14,13 @@ from torch import Tensor, nn
 
 from models.encoder import Encoder
 from models.latent import Latent
+from models.losses import distance_loss
 from models.predictor import NetConfig, Predictor
 from models.symmetry import Symmetry, halves
 from models.training.config import PretrainConfig
 from models.training.loop import Trainer
 
 FORMAT = "kinecast-ablated-1"
-_PLAIN_HIDDEN = 718
 
 
 class DeafEncoder(Encoder):
@@ -75,7 +75,7 @@ class SilentCategories(Latent):
 class PlainHead(nn.Module):
     """One MLP for the whole pose, in the place of the structured prediction layer."""
 
-    def __init__(self, *, features: int, joints: int, hidden: int = _PLAIN_HIDDEN) -> None:
+    def __init__(self, *, features: int, joints: int, hidden: int) -> None:
         super().__init__()
         self.joints = joints
         self.inner = nn.Linear(features, hidden)
@@ -130,7 +130,10 @@ def drop_categories(net: Predictor) -> None:
 
 def flatten_head(net: Predictor) -> None:
     """Predict the whole pose at once instead of joint by joint along the tree."""
-    head = PlainHead(features=net.config.decoder_hidden, joints=net.spec.joints)
+    features, coordinates = net.config.decoder_hidden, 3 * net.spec.joints
+    weights = sum(weight.numel() for weight in net.decoder.predict.parameters())
+    hidden = round((weights - coordinates) / (features + 1 + coordinates) / 2) * 2
+    head = PlainHead(features=features, joints=net.spec.joints, hidden=hidden)
     net.decoder.predict = head  # type: ignore[assignment]
 
 
@@ -165,10 +168,7 @@ def make_trainer(part: str) -> type[Trainer]:
 
         def measure(self, forecast: Tensor, future: Tensor) -> Tensor:
             if part == SQUARED_LOSS:
-                error = forecast - future
-                position: Tensor = error.norm(dim=-1).mean()
-                motion: Tensor = error.diff(dim=1).norm(dim=-1).mean()
-                return position + motion
+                return distance_loss(forecast, future)
             return super().measure(forecast, future)
 
     return AblatedTrainer if part else Trainer

@@ -5,7 +5,7 @@ file, which the rows of `bases.jsonl` keep, so that results can be read where th
 """
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import monotonic
@@ -20,6 +20,7 @@ from benchmarks.studies.ablations import (
     without_augmentation,
 )
 from benchmarks.studies.cache import RESULTS, Cache, Row, make_key
+from benchmarks.studies.peers import SIMLPE, train_simlpe_file
 from benchmarks.studies.recordings import (
     COLLECTIONS,
     UTD,
@@ -39,13 +40,15 @@ from models.checkpoint import (
 from models.data.clips import Clip
 from models.predictor import NetConfig, Predictor
 from models.training.config import PretrainConfig
+from models.training.loop import Progress
 from models.training.pretrain import Pretrained, current_commit, pretrain
+from models.training.simlpe import SimlpeConfig
 
 FOLDER = Path("build/studies/bases")
 FULL_STEPS = PretrainConfig().steps
 BUDGET_STEPS = 1_200
 """About five minutes of a core: enough to compare by, see models/training/LOG.md."""
-STEP_S = 0.2
+STEP_S, PEER_STEP_S = 0.3, 0.09
 """A step on one core, about."""
 SHIPPED_BASE = "shipped-0"
 LEFT_OUT_OF_ABLATIONS = "utd-mhad/7"
@@ -60,14 +63,14 @@ class Recipe:
 
     Attributes:
         name: what studies call it.
-        config: see `PretrainConfig`.
+        config: of our net, or of a peer.
         sources: collections that train, as far as their people train at all.
         left_out: people ("utd-mhad/7") and collections ("wmft") that do not.
         part: of the net or objective that is taken away, see `ablations`.
     """
 
     name: str
-    config: PretrainConfig
+    config: PretrainConfig | SimlpeConfig
     sources: tuple[str, ...] = COLLECTIONS
     left_out: tuple[str, ...] = ()
     part: str = ""
@@ -104,7 +107,8 @@ class Recipe:
     @property
     def seconds(self) -> float:
         """How long it takes on one core, about."""
-        return STEP_S * self.config.steps
+        step_s = STEP_S if isinstance(self.config, PretrainConfig) else PEER_STEP_S
+        return step_s * self.config.steps
 
 
 def list_recipes() -> dict[str, Recipe]:
@@ -118,6 +122,10 @@ def _list_recipes() -> Iterator[Recipe]:
         yield Recipe(f"shipped-{seed}", replace(full, seed=seed))
     for seed in range(3):
         yield Recipe(f"paper-{seed}", replace(full, seed=seed), sources=(UTD,))
+    for seed in range(3):
+        peer = replace(SimlpeConfig(), seed=seed)
+        yield Recipe(f"{SIMLPE}-shipped-{seed}", peer)
+        yield Recipe(f"{SIMLPE}-paper-{seed}", peer, sources=(UTD,))
     budget = replace(full, steps=BUDGET_STEPS, evaluate_every=BUDGET_STEPS)
     for left_out in (*(f"{UTD}/{subject}" for subject in (3, 7, 1, 5)), *COLLECTIONS):
         name = f"without-{left_out.replace('/', '-')}"
@@ -155,37 +163,52 @@ def find_sha256(recipe: Recipe, place: Place) -> str | None:
 
 
 def train_base(recipe: Recipe, place: Place) -> Row:
-    """Train a base, or go on where a killed run was; give its row."""
+    """Train a base, or go on where a killed run was; give its row.
+
+    A base that is there is not trained again.
+    """
     path, began = recipe.path(place), monotonic()
     path.parent.mkdir(parents=True, exist_ok=True)
-    state, steps = path.with_suffix(".state"), []
-    trained = pretrain(
-        recipe.select(place),
-        recipe.config,
-        state=state,
-        report=lambda progress: steps.append(progress.step),
-        trainer_type=make_trainer(recipe.part),
-    )
-    sha256 = write_atomically(path, _dump(recipe, trained))
-    state.unlink(missing_ok=True)
+    steps: list[int] = []
+    if not path.exists():
+        _train(recipe, place, path, lambda progress: steps.append(progress.step))
+    blob = path.read_bytes()
+    metadata = parse_blob(blob)[0]
     return {
         "recipe": recipe.key(place),
-        "sha256": sha256,
+        "sha256": hashlib.sha256(blob).hexdigest(),
         "steps": recipe.config.steps,
         "steps_of_this_run": len(steps),
         "training_s": round(monotonic() - began, 1),
-        "data": trained.metadata["data"],
+        "data": metadata["data"],
         "left_out": list(recipe.left_out),
         "commit": current_commit(),
-        "torch": trained.metadata["torch"],
+        "torch": metadata["torch"],
     }
+
+
+def _train(recipe: Recipe, place: Place, path: Path, report: Callable[[Progress], None]) -> None:
+    """Train and write a base or a peer."""
+    clips, config = recipe.select(place), recipe.config
+    if isinstance(config, SimlpeConfig):
+        train_simlpe_file(path, clips, config, about=_name(recipe), report=report)
+        return
+    state = path.with_suffix(".state")
+    trainer = make_trainer(recipe.part)
+    trained = pretrain(clips, config, state=state, report=report, trainer_type=trainer)
+    write_atomically(path, _dump(recipe, trained))
+    state.unlink(missing_ok=True)
+
+
+def _name(recipe: Recipe) -> dict[str, Any]:
+    return {"left_out": list(recipe.left_out), "study": recipe.name}
 
 
 def _dump(recipe: Recipe, trained: Pretrained) -> bytes:
     """Give the file: without times and commits, so that equal weights are equal files."""
     kept = ("pretraining", "steps_run", "data", "data_sha256", "torch")
     metadata: dict[str, Any] = {name: trained.metadata[name] for name in kept}
-    metadata |= {"left_out": list(recipe.left_out), "study": recipe.name}
+    metadata |= _name(recipe)
     if recipe.part:
         metadata |= {"format": FORMAT, "part": recipe.part}
     return dump_checkpoint(trained.predictor, metadata, adversary=trained.adversary)

@@ -17,7 +17,7 @@ def make_key(decided_by: Mapping[str, Any]) -> str:
 
 
 class Cache:
-    """The rows of one study; of two with the same key the later one counts.
+    """The rows of one study; of two of the same unit the later one counts.
 
     Args:
         path: the file, which need not be there.
@@ -27,7 +27,7 @@ class Cache:
         self.path = path
 
     def read(self) -> dict[str, Row]:
-        """Give the rows by key. A line that a kill cut short is left out."""
+        """Give the rows by unit. A line that a kill cut short is left out."""
         rows: dict[str, Row] = {}
         if not self.path.exists():
             return rows
@@ -36,7 +36,7 @@ class Cache:
                 row = json.loads(line)
             except json.JSONDecodeError:
                 continue
-            rows[row["key"]] = row
+            rows[row["unit"]] = row
         return rows
 
     def add(self, row: Row) -> None:
@@ -50,9 +50,8 @@ class Cache:
 
     def tidy(self) -> None:
         """Drop the rows of units that have a later one."""
-        latest = {row["unit"]: row for row in self.read().values()}
-        lines = [json.dumps(row, separators=(",", ":")) for row in latest.values()]
-        if not latest:
+        lines = [json.dumps(row, separators=(",", ":")) for row in self.read().values()]
+        if not lines:
             return
         draft = self.path.with_suffix(".part")
         draft.write_text("".join(f"{line}\n" for line in lines))

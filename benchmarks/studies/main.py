@@ -7,7 +7,7 @@ import numpy as np
 
 from benchmarks.studies.cache import Row
 from benchmarks.studies.measured import LAST, Measured, average, join, measure
-from benchmarks.studies.peers import RIDGE, make_ridge
+from benchmarks.studies.peers import RIDGE, SIMLPE, describe_simlpe_fit, make_ridge, make_simlpe
 from benchmarks.studies.personal import compare_versions
 from benchmarks.studies.recordings import UTD, read_person
 from benchmarks.studies.study import Lab, Options, Study, Unit, subject_of
@@ -44,6 +44,11 @@ PAIRS = (
     ),
     ((SHIPPED, "base"), (PAPER, "base")),
     ((SHIPPED, "served"), (PAPER, "served")),
+    *(
+        ((family, method), (f"{SIMLPE}-{family}", reference))
+        for family in FAMILIES
+        for method, reference in (("base", "base"), ("served", "plain"), ("plain", "plain"))
+    ),
     ((PAPER, "base"), (RIDGE, "base")),
     ((PAPER, "served"), (RIDGE, "plain")),
 )
@@ -59,6 +64,12 @@ def plan(_: Options) -> list[Unit]:
         for family in FAMILIES
         for subject in TEST_SUBJECTS
     ]
+    units += [
+        _unit(f"{SIMLPE}-{family}", seed, subject)
+        for seed in SEEDS
+        for family in FAMILIES
+        for subject in TEST_SUBJECTS
+    ]
     return [*units, *(_unit(RIDGE, 0, subject) for subject in TEST_SUBJECTS)]
 
 
@@ -70,8 +81,9 @@ def _unit(family: str, seed: int, subject: str) -> Unit:
         "" if family == RIDGE else name,
         f"{UTD}/{subject}",
         settings,
-        seconds=15.0 if is_peer else 85.0,
+        seconds=25.0 if is_peer else 85.0,
         personal=not is_peer,
+        decided_by=describe_simlpe_fit() if family.startswith(SIMLPE) else {},
     )
 
 
@@ -80,11 +92,13 @@ def compute(unit: Unit, lab: Lab) -> dict[str, Any]:
     trial = read_person(lab.place, unit.person, PERSONAL_TRIAL)
     test = read_person(lab.place, unit.person, *TEST_TRIALS)
     told: dict[str, Any] = {}
-    if unit.settings["family"] == RIDGE:
+    seed, family = unit.settings["seed"], unit.settings["family"]
+    if family.startswith(SIMLPE):
+        methods = make_simlpe(lab.find_base(unit.base), trial, seed=seed)
+    elif family == RIDGE:
         methods = make_ridge(lab.recipes[f"{PAPER}-0"].select(lab.place), trial)
     else:
-        base, seed = lab.read_base(unit.base), unit.settings["seed"]
-        methods, told = compare_versions(base, trial, seed=seed)
+        methods, told = compare_versions(lab.read_base(unit.base), trial, seed=seed)
     return {**told, "errors": measure(methods, test).as_json()}
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from rich.console import Console
 
 from benchmarks.studies import ablation, everybody, growth, main, seconds, training, unseen, wild
-from benchmarks.studies.bases import SHIPPED_BASE, find_sha256
+from benchmarks.studies.bases import find_sha256
 from benchmarks.studies.cache import RESULTS, Cache, Row
 from benchmarks.studies.pool import work
 from benchmarks.studies.recordings import Place, is_examinee
@@ -22,8 +22,8 @@ STUDIES: dict[str, Study] = {
     study.name: study
     for study in (
         training.STUDY,
-        main.STUDY,
         everybody.STUDY,
+        main.STUDY,
         unseen.STUDY,
         growth.STUDY,
         wild.STUDY,
@@ -32,6 +32,8 @@ STUDIES: dict[str, Study] = {
     )
 }
 """In the order that gives most evidence first."""
+ANSWERS = [name for name in STUDIES if name != training.STUDY.name]
+"""Without the training of bases, which happens as it is needed."""
 READINGS = Path(ledger.__file__).with_name("readings.jsonl")
 
 
@@ -77,10 +79,24 @@ class Job:
 
 
 def run_study(study: Study, run: Run, console: Console) -> list[Row]:
-    """Compute what is missing and give all rows that were asked for."""
-    if study is not training.STUDY:
-        train_missing(study, run, console)
-    units = list_missing(study, run)
+    """Compute what is missing and give all rows that were asked for.
+
+    Rows whose base is there come first; then the other bases are trained.
+    """
+    missing = list_missing(study, run)
+    if study is training.STUDY and run.fresh:
+        for unit in missing:
+            Lab(run.place).find_base(unit.name).unlink(missing_ok=True)
+    absent = list_absent(missing, run)
+    compute_rows(study, [unit for unit in missing if unit.base not in absent], run, console)
+    if absent:
+        run_study(training.STUDY, replace(run, only=tuple(absent), fresh=False), console)
+        compute_rows(study, [unit for unit in missing if unit.base in absent], run, console)
+    return read_rows(study, run)
+
+
+def compute_rows(study: Study, units: Sequence[Unit], run: Run, console: Console) -> None:
+    """Compute some rows, each kept as soon as it is there."""
     cache, lab, began = run.cache(study), Lab(run.place), time.monotonic()
     jobs = [Job(study.name, unit, run.place) for unit in units]
     done: list[Unit] = []
@@ -99,7 +115,6 @@ def run_study(study: Study, run: Run, console: Console) -> list[Row]:
         if done:
             cache.tidy()
             note_reading(study, done, run)
-    return read_rows(study, run)
 
 
 def note_reading(study: Study, units: Sequence[Unit], run: Run) -> None:
@@ -134,13 +149,11 @@ def name_row(unit: Unit) -> Row:
     return {"unit": unit.name, "base": unit.base, "person": unit.person, **unit.settings}
 
 
-def train_missing(study: Study, run: Run, console: Console) -> None:
-    """Train the bases without which a missing row cannot be computed."""
-    names = {unit.base for unit in list_missing(study, run)} - {"", SHIPPED_BASE}
+def list_absent(units: Sequence[Unit], run: Run) -> list[str]:
+    """Name the bases of units that have to be trained."""
     lab = Lab(run.place)
-    absent = tuple(name for name in names if not lab.recipes[name].path(run.place).exists())
-    if absent:
-        run_study(training.STUDY, replace(run, only=absent, fresh=False), console)
+    names = dict.fromkeys(unit.base for unit in units if unit.base)
+    return [name for name in names if not lab.find_base(name).exists()]
 
 
 def list_missing(study: Study, run: Run) -> list[Unit]:
@@ -148,25 +161,38 @@ def list_missing(study: Study, run: Run) -> list[Unit]:
     units = run.plan(study)
     if run.fresh:
         return units
-    lab, known = Lab(run.place), run.cache(study).read()
+    lab, known = Lab(run.place), run.cache(study).read().values()
     if study is training.STUDY:
-        return [u for u in units if not lab.recipes[u.name].path(run.place).exists()]
-    return [unit for unit in units if key_of(study, unit, lab) not in known]
+        trained = {row["recipe"] for row in known}
+        return [unit for unit in units if not _is_trained(unit, lab, trained)]
+    keys = {row["key"] for row in known}
+    return [unit for unit in units if key_of(study, unit, lab) not in keys]
+
+
+def _is_trained(unit: Unit, lab: Lab, trained: set[str]) -> bool:
+    recipe = lab.recipes[unit.name]
+    return recipe.key(lab.place) in trained and lab.find_base(unit.name).exists()
 
 
 def read_rows(study: Study, run: Run) -> list[Row]:
     """Give the rows that are there, in the order of the plan."""
-    latest = {row["unit"]: row for row in run.cache(study).read().values()}
-    return [latest[unit.name] for unit in study.plan(run.options) if unit.name in latest]
+    rows = run.cache(study).read()
+    return [rows[unit.name] for unit in study.plan(run.options) if unit.name in rows]
 
 
 def describe_missing(study: Study, run: Run) -> Sequence[str]:
     """Say what would be computed, and how long it would take."""
     units = list_missing(study, run)
-    lines = [f"{study.name} {unit.name}: {unit.seconds:.0f} s" for unit in units]
+    recipes = Lab(run.place).recipes
+    absent = {name: recipes[name].seconds for name in list_absent(units, run)}
     jobs = 1 if study.alone else run.jobs
-    total = sum(unit.seconds for unit in units) / jobs / 60
-    return [*lines, f"{study.name}: {len(units)} rows, about {total:.0f} min with {jobs} jobs"]
+    minutes = (sum(unit.seconds for unit in units) / jobs + sum(absent.values()) / run.jobs) / 60
+    return [
+        *(f"{study.name}, base {name}: {seconds:.0f} s" for name, seconds in absent.items()),
+        *(f"{study.name} {unit.name}: {unit.seconds:.0f} s" for unit in units),
+        f"{study.name}: {len(units)} rows and {len(absent)} bases, "
+        f"about {minutes:.0f} min with {jobs} jobs",
+    ]
 
 
 def _is_named(name: str, patterns: Sequence[str]) -> bool:

@@ -26,6 +26,7 @@ class Unit:
         settings: everything else that decides it, as JSON can hold it.
         seconds: how long it takes on one core, about.
         personal: whether somebody's decoder is fitted.
+        decided_by: what else decides the row, where it need not be in it.
     """
 
     name: str
@@ -34,6 +35,7 @@ class Unit:
     settings: Mapping[str, Any] = field(default_factory=dict)
     seconds: float = 10.0
     personal: bool = True
+    decided_by: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def subject(self) -> str:
@@ -57,9 +59,13 @@ class Lab:
         """Give every base by its name."""
         return list_recipes()
 
+    def find_base(self, name: str) -> Path:
+        """Say where the file of a base is, or will be."""
+        return self.recipes[name].path(self.place)
+
     def read_base(self, name: str) -> bytes:
         """Give the file of a base that was trained."""
-        return _read(self.recipes[name].path(self.place))
+        return _read(self.find_base(name))
 
 
 @dataclass(frozen=True)
@@ -111,6 +117,7 @@ def key_of(study: Study, unit: Unit, lab: Lab) -> str | None:
             "settings": unit.settings,
             "data": hash_collection(lab.place, unit.source) if unit.person else None,
             "fit": _describe_fit() if unit.personal else None,
+            **unit.decided_by,
         }
     )
 

@@ -34,7 +34,7 @@ class Table:
         """Print the table."""
         made = RichTable(title=self.title, title_justify="left", box=box.SIMPLE, pad_edge=False)
         for place, column in enumerate(self.columns):
-            made.add_column(column, justify="right" if place else "left")
+            made.add_column(column, justify="right" if place else "left", no_wrap=not place)
         for row in self.rows:
             made.add_row(*row)
         console.print(made)

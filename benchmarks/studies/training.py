@@ -12,7 +12,7 @@ from benchmarks.studies.tables import Table
 def plan(_: Options) -> list[Unit]:
     """List the bases that are not shipped, those that give most evidence first."""
     return [
-        Unit(name, seconds=recipe.seconds, personal=False)
+        Unit(name, settings={"name": name}, seconds=recipe.seconds, personal=False)
         for name, recipe in sorted(list_recipes().items(), key=lambda pair: _order(pair[0]))
         if name != SHIPPED_BASE
     ]
@@ -46,7 +46,7 @@ def summarise(rows: Sequence[Row]) -> list[Table]:
 
 
 def _order(name: str) -> int:
-    order = ("without-utd-mhad-", "shipped-", "without-", "paper-", "ablation-")
+    order = ("without-utd-mhad-", "shipped-", "without-", "paper-", "simlpe-", "ablation-")
     return next(place for place, start in enumerate(order) if name.startswith(start))
 
 

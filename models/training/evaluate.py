@@ -1,6 +1,6 @@
 """The table of the pinned protocol: every method on every subject, in one run."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -92,23 +92,57 @@ def evaluate(
 
 
 def evaluate_ridge(
-    training: Sequence[Clip], everybody: Sequence[Clip], test: Sequence[Clip]
+    training: Sequence[Clip],
+    everybody: Sequence[Clip],
+    test: Sequence[Clip],
+    *,
+    trials: Sequence[str] = (PERSONAL_TRIAL,),
 ) -> list[Row]:
     """Rows of the ridge, and of its closed-form personal twin where a subject has the trial for it.
 
     Args:
         training: clips that the ridge is fitted on; its strengths are chosen by leaving their
             people out.
-        everybody: clips in which the personal trial is looked for.
+        everybody: clips in which the personal trials are looked for.
         test: the test clips.
+        trials: what the personal twin is fitted on.
     """
     ridge = Ridge.fit(cut_windows(training, _SPEC), clips=training)
+    return evaluate_adaptable(
+        "ridge",
+        ridge,
+        lambda clips: ridge.personalize(cut_windows(clips, _SPEC)),
+        everybody,
+        test,
+        trials=trials,
+    )
+
+
+def evaluate_adaptable(
+    name: str,
+    forecaster: Forecaster,
+    personalize: Callable[[list[Clip]], Forecaster],
+    everybody: Sequence[Clip],
+    test: Sequence[Clip],
+    *,
+    trials: Sequence[str] = (PERSONAL_TRIAL,),
+) -> list[Row]:
+    """Rows of a method, and of what it becomes for each subject who has the trials for it.
+
+    Args:
+        name: of the method; what it becomes is `<name>_personal`.
+        forecaster: the method before it knows anybody.
+        personalize: what it becomes by a person's clips.
+        everybody: clips in which the personal trials are looked for.
+        test: the test clips; who is tested on a personal trial gets no personal row.
+        trials: the personal trials.
+    """
     rows = []
     for subject, own in group_by_subject(test).items():
-        methods: dict[str, Forecaster] = {"ridge": ridge}
-        trial = select(everybody, subjects=[subject], trials=[PERSONAL_TRIAL])
-        if trial and all(clip.trial != PERSONAL_TRIAL for clip in own):
-            methods["ridge_personal"] = ridge.personalize(cut_windows(trial, _SPEC))
+        methods = {name: forecaster}
+        trial = select(everybody, subjects=[subject], trials=trials)
+        if trial and all(clip.trial not in trials for clip in own):
+            methods[f"{name}_personal"] = personalize(trial)
         rows += [row for row in evaluate(methods, own, by_subject=True) if row.method in methods]
     return rows
 

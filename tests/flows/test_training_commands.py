@@ -13,6 +13,7 @@ from models.checkpoint import dump_checkpoint, load_checkpoint
 from models.data.synthetic import SyntheticPerson
 from models.data.synthetic_actions import ACTIONS
 from models.predictor import Predictor
+from models.training.simlpe_file import load_simlpe
 from tests.nets import SMALL
 from tests.unit.models.conftest import believable_motion
 
@@ -65,8 +66,47 @@ def test_from_recordings_to_a_calibrated_model_and_its_table(
     figures = json.loads(report.read_text())
     methods = [row["method"] for row in figures["rows"]]
     assert methods == ["zero_velocity", "base", "damped_velocity"]
+    assert figures["simlpe"] is None
     assert figures["rows"][0]["frames"] == [2, 4, 8, 10, 13, 15]
     assert figures["protocol"]["model"]["sha256"] == checkpoint.sha256
+
+
+def test_a_peer_is_trained_fine_tuned_and_compared_on_one_screen(
+    collection: Path, tmp_path: Path
+) -> None:
+    base, peer = tmp_path / "base.safetensors", tmp_path / "peer.safetensors"
+    torch.manual_seed(0)
+    base.write_bytes(dump_checkpoint(Predictor(config=SMALL), {}))
+    left_out = ["--subjects", "1,3", "--leave-out", "people/3"]
+    run("pretrain-peer", "--data", collection, "--out", peer, "--steps", "2", *left_out)
+    assert load_simlpe(peer).metadata["left_out"] == ["people/3"]
+
+    ledger, report = tmp_path / "readings.jsonl", tmp_path / "figures.json"
+    arguments = ["--data", collection, "--model", base, "--subjects", "2", "--test-trials", "2"]
+    arguments += ["--baselines", "--simlpe", peer, "--finetune-steps", "3"]
+    arguments += ["--log", ledger, "--json", report]
+    shown = run("evaluate", *arguments)
+    assert "base ÷ simlpe" in shown
+    assert max(map(len, shown.splitlines())) <= 100
+    figures = json.loads(report.read_text())
+    assert [row["method"] for row in figures["rows"]] == [
+        "zero_velocity",
+        "base",
+        "damped_velocity",
+        "simlpe",
+        "simlpe_personal",
+    ]
+    assert figures["simlpe"]["sha256"] == load_simlpe(peer).sha256
+    assert [found["reference"] for found in figures["comparison"]] == ["simlpe"]
+    everybody = run("evaluate", *arguments[:4], *arguments[8:11], "--json", "-")
+    assert [row["method"] for row in json.loads(everybody)["rows"]][-1] == "simlpe"
+
+    (line,) = [json.loads(line) for line in ledger.read_text().splitlines()]
+    assert line["config"]["model"]["sha256"] == load_checkpoint(base).sha256
+    assert line["config"]["data_sha256"] == figures["protocol"]["data_sha256"]
+    assert [row["mse_cm2"] for row in line["figures"]] == [
+        row["mse_cm2"] for row in figures["rows"]
+    ]
 
 
 def test_without_subjects_there_is_one_row_per_method(collection: Path, tmp_path: Path) -> None:
@@ -97,6 +137,14 @@ def test_without_subjects_there_is_one_row_per_method(collection: Path, tmp_path
         (["pretrain", "--data", "nowhere", "--out", "{data}/a"], "is no folder"),
         (["evaluate", "--data", "nowhere", "--json", "{folder}/none/a.json"], "there is no folder"),
         (["evaluate", "--data", "nowhere", "--json", "{folder}"], "is a folder"),
+        (["evaluate", "--data", "nowhere", "--log", "{folder}"], "is a folder"),
+        (["evaluate", "--data", "nowhere", "--simlpe", "{data}"], "needs --baselines"),
+        (
+            ["evaluate", "--data", "{data}", "--baselines", "--simlpe", "{data}"],
+            "not a Kinecast checkpoint",
+        ),
+        (["pretrain-peer", "--data", "{data}", "--out", "{folder}"], "is a folder"),
+        (["pretrain-peer", "--data", "{data}", "--out", "{out}", "--leave-out", "a/7"], "no clips"),
     ],
 )
 def test_bad_usage_is_one_clear_line_and_exit_status_2(

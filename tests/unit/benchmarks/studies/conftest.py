@@ -11,6 +11,7 @@ from benchmarks.studies.recordings import Place
 from benchmarks.studies.study import Lab
 from models.data.synthetic import SyntheticPerson
 from models.training.finetune import FinetuneConfig
+from models.training.simlpe import SimlpeConfig
 from tests.nets import SMALL
 
 ACTIONS = ("wave", "squat", "punch", "throw", "reach")
@@ -56,6 +57,8 @@ def lab(place, tmp_path, monkeypatch):
 
 
 def shrink(recipe):
+    if isinstance(recipe.config, SimlpeConfig):
+        return replace(recipe, config=replace(recipe.config, steps=3, batch=16))
     heading = recipe.config.net.canonical_heading
     net = replace(SMALL, canonical_heading=heading)
     config = replace(recipe.config, net=net, steps=3, batch=16, evaluate_every=3)

@@ -109,6 +109,16 @@ def test_a_killed_run_goes_on_to_the_same_weights(lab, monkeypatch):
     assert row["sha256"] == whole["sha256"]
 
 
+def test_a_base_that_is_there_is_described_and_not_trained_again(lab):
+    recipe = lab.recipes["paper-1"]
+    row = train_base(recipe, lab.place)
+    again = train_base(recipe, lab.place)
+    assert (row["steps_of_this_run"], again["steps_of_this_run"]) == (3, 0)
+    assert {name: row[name] for name in ("sha256", "recipe", "data", "torch")} == {
+        name: again[name] for name in ("sha256", "recipe", "data", "torch")
+    }
+
+
 def test_a_base_whose_file_is_gone_is_known_by_its_row(lab):
     recipe = lab.recipes["paper-1"]
     assert find_sha256(recipe, lab.place) is None

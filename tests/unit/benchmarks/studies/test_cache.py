@@ -8,12 +8,12 @@ def test_a_key_is_decided_by_everything_and_by_no_order():
     assert make_key({"a": 1}) != make_key({"a": 2})
 
 
-def test_rows_are_given_by_key_and_the_later_one_counts(tmp_path):
+def test_rows_are_given_by_unit_and_the_later_one_counts(tmp_path):
     cache = Cache(tmp_path / "deep" / "study.jsonl")
     assert cache.read() == {}
-    for key, value in (("x", 1), ("y", 2), ("x", 3)):
-        cache.add({"key": key, "unit": key, "value": value})
-    assert {key: row["value"] for key, row in cache.read().items()} == {"x": 3, "y": 2}
+    for unit, value in (("x", 1), ("y", 2), ("x", 3)):
+        cache.add({"key": f"{unit}{value}", "unit": unit, "value": value})
+    assert {unit: row["value"] for unit, row in cache.read().items()} == {"x": 3, "y": 2}
 
 
 def test_a_line_that_was_cut_short_costs_that_row_alone(tmp_path):

@@ -1,15 +1,17 @@
 import io
 import json
+from dataclasses import replace
 
 import pytest
 from rich.console import Console
 
-from benchmarks.studies import runner
+from benchmarks.studies import bases, runner
 from benchmarks.studies.runner import Run, describe_missing, read_rows, run_study
-from benchmarks.studies.study import Study, Unit
+from benchmarks.studies.study import Lab, Study, Unit, key_of
 from benchmarks.studies.tables import Table
 
 CALLS = []
+BASE_S = bases.list_recipes()["paper-1"].seconds
 
 
 def plan(_):
@@ -109,15 +111,48 @@ def test_one_bad_row_costs_no_other(run, monkeypatch, capsys):
 
 
 def test_what_is_missing_is_told_with_its_time(run):
-    assert describe_missing(STUDY, run)[-1] == "toy: 2 rows, about 2 min with 1 jobs"
+    assert describe_missing(STUDY, run)[-1] == "toy: 2 rows and 0 bases, about 2 min with 1 jobs"
     go(STUDY, run)
-    assert describe_missing(STUDY, run)[-1] == "toy: 0 rows, about 0 min with 1 jobs"
+    assert describe_missing(STUDY, run)[-1] == "toy: 0 rows and 0 bases, about 0 min with 1 jobs"
 
 
 def test_rows_are_read_without_recordings(run, tmp_path):
     go(STUDY, run)
     nowhere = Run(runner.Place(tmp_path / "none", tmp_path / "none"), folder=run.folder)
     assert len(read_rows(STUDY, nowhere)) == 2
+
+
+def test_rows_with_a_base_come_before_the_other_bases(run, monkeypatch):
+    units = [
+        Unit("late", "paper-1", "", {"number": 1}),
+        Unit("early", "shipped-0", "", {"number": 2}),
+    ]
+    study = Study("toy", "?", 1, lambda _: units, compute, STUDY.headline, summarise)
+    monkeypatch.setitem(runner.STUDIES, "toy", study)
+    monkeypatch.setattr(bases, "FOLDER", run.folder / "bases")
+
+    def train(unit, lab):
+        CALLS.append(unit.name)
+        path = lab.find_base(unit.name)
+        path.parent.mkdir()
+        path.write_bytes(b"a base")
+        return {"recipe": "", "sha256": "", "steps": 1, "training_s": 0}
+
+    fake = replace(runner.training.STUDY, compute=train)
+    monkeypatch.setattr(runner.training, "STUDY", fake)
+    monkeypatch.setitem(runner.STUDIES, "bases", fake)
+    assert f"toy, base paper-1: {BASE_S:.0f} s" in describe_missing(study, run)
+    rows, _ = go(study, run)
+    assert CALLS == ["early", "paper-1", "late"]
+    assert len(rows) == 2
+
+
+def test_rows_of_a_study_have_different_keys(place):
+    lab = Lab(place)
+    for study in runner.STUDIES.values():
+        keys = [key_of(study, unit, lab) for unit in study.plan(runner.Options())]
+        known = [key for key in keys if key is not None]
+        assert len(known) == len(set(known))
 
 
 def test_studies_have_different_names_and_units():

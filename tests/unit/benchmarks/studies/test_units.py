@@ -5,12 +5,13 @@ from functools import partial
 
 import pytest
 
-from benchmarks.studies import ablation, everybody, growth, main, seconds, unseen, wild
+from benchmarks.studies import ablation, everybody, growth, main, peers, seconds, unseen, wild
 from benchmarks.studies.bases import train_base
 from benchmarks.studies.measured import Measured
 from benchmarks.studies.runner import name_row
 from benchmarks.studies.study import Options
 from models.baselines import Ridge
+from models.training.simlpe import SimlpeFinetune
 
 
 def compute(study, name, lab):
@@ -59,6 +60,14 @@ def test_the_ridge_is_a_peer_of_the_protocol(lab, monkeypatch):
     row = compute(main.STUDY, "ridge-0, subject 2", lab)
     assert methods_of(row) == {"zero_velocity", "base", "plain"}
     assert main.STUDY.headline(row)
+
+
+def test_a_simlpe_is_trained_and_fine_tuned(lab, monkeypatch):
+    monkeypatch.setattr(peers, "SimlpeFinetune", partial(SimlpeFinetune, steps=2))
+    row = compute(main.STUDY, "simlpe-paper-1, subject 2", lab)
+    assert methods_of(row) == {"zero_velocity", "base", "plain"}
+    found = Measured.from_json(row["errors"])
+    assert found.cm2("base") != found.cm2("plain")
 
 
 @pytest.mark.parametrize(
