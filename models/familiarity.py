@@ -8,7 +8,7 @@ about another.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -30,7 +30,7 @@ class FamiliarityRule:
         width: how gently it falls.
     """
 
-    half: float = 1.8
+    half: float = 1.4
     width: float = 0.3
 
 
@@ -78,6 +78,10 @@ class Familiarity:
         """Part of the personal decoder in each forecast, 0 to 1; far enough out exactly these."""
         share = torch.sigmoid((self.rule.half - self.distance(z)) / self.rule.width)
         return ((share - _SNAP) / (1 - 2 * _SNAP)).clamp(0, 1)
+
+    def reaching(self, half: float) -> "Familiarity":
+        """Give the same with another distance at which the share is one half."""
+        return replace(self, rule=replace(self.rule, half=half))
 
     def tensors(self) -> dict[str, Tensor]:
         """Give what a version's blob stores."""

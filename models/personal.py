@@ -1,6 +1,6 @@
 """One person's decoder as it is served: behind the shared encoder, gated by familiarity."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -53,6 +53,12 @@ class PersonalDecoder:
         if self.familiarity is None:
             return z.new_ones(len(z))
         return self.familiarity.share(z)
+
+    def reaching(self, half: float) -> "PersonalDecoder":
+        """Give the same with a gate that lets it answer nearer to, or further from, its trials."""
+        if self.familiarity is None:
+            return self
+        return replace(self, familiarity=self.familiarity.reaching(half))
 
     def _mix(self, encoded: Encoded, share: Float[Tensor, " batch"]) -> Tensor:
         if bool((share == 1).all()):

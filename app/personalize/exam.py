@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from app.personalize.folds import Fold
-from app.personalize.judge import SHARES, Figures, Rival, join, no_figures
+from app.personalize.judge import BLEND, REACHES, Figures, Rival, join, no_figures
 from models.data.clips import Clip
 from models.data.windows import Windows, cut_windows
 from models.decoder import Decoder
@@ -29,25 +29,25 @@ class Examined:
     Attributes:
         like, unlike: the errors.
         offsets: distances between forecast and truth of all windows left out, in metres, for
-            every one of `SHARES`.
+            every one of `REACHES`.
     """
 
     like: Figures
     unlike: Figures
-    offsets: Float[np.ndarray, "share window horizon joint"]
+    offsets: Float[np.ndarray, "reach window horizon joint"]
 
     @property
     def both(self) -> Figures:
         """The errors on all that was left out."""
         return join([self.like, self.unlike])
 
-    def distances(self, share: float) -> Float[np.ndarray, "window horizon joint"]:
-        """Give the distances of one blend."""
-        return np.asarray(self.offsets[SHARES.index(share)])
+    def distances(self, reach: float) -> Float[np.ndarray, "window horizon joint"]:
+        """Give the distances at one reach of the gate."""
+        return np.asarray(self.offsets[REACHES.index(reach)])
 
 
 def examine(candidate: PersonalDecoder, fold: Fold) -> Examined:
-    """Measure a candidate at every blend on what its fold left out."""
+    """Measure a candidate at every reach on what its fold left out."""
     like, like_off = _measure(candidate, fold.like)
     unlike, unlike_off = _measure(candidate, fold.unlike)
     return Examined(like, unlike, np.concatenate([like_off, unlike_off], axis=1))
@@ -68,21 +68,21 @@ def measure_rival(active: PersonalDecoder, clips: Sequence[Clip], candidate: Fig
 
 def _measure(
     candidate: PersonalDecoder, clips: Sequence[Clip]
-) -> tuple[Figures, Float[np.ndarray, "share window horizon joint"]]:
+) -> tuple[Figures, Float[np.ndarray, "reach window horizon joint"]]:
     spec = candidate.base.spec
     if not clips:
-        return no_figures(), np.zeros((len(SHARES), 0, spec.horizon, spec.joints), np.float32)
+        return no_figures(), np.zeros((len(REACHES), 0, spec.horizon, spec.joints), np.float32)
     windows = cut_windows(clips, spec)
     whole = torch.from_numpy(np.concatenate([windows.observed, windows.future], axis=1))
     with torch.inference_mode():
         found = encode_windows(candidate.base, whole)
-        gate = torch.cat([candidate.share(part) for part in found.z.split(_BATCH)])
-        gate = gate[:, None, None, None]
         of_base = _roll(candidate.base, candidate.base.decoder, found)
+        blended = blend(candidate.base.decoder, candidate.decoder, BLEND)
+        of_person = _roll(candidate.base, blended, found)
         errors, offsets = [], []
-        for share in SHARES:
-            blended = blend(candidate.base.decoder, candidate.decoder, share)
-            off = torch.lerp(of_base, _roll(candidate.base, blended, found), gate) - found.target
+        for reach in REACHES:
+            gate = torch.cat([candidate.reaching(reach).share(z) for z in found.z.split(_BATCH)])
+            off = torch.lerp(of_base, of_person, gate[:, None, None, None]) - found.target
             errors.append(_average(_cumulate(off), windows))
             offsets.append(off.norm(dim=-1).numpy())
         before = _average(_cumulate(of_base - found.target), windows)

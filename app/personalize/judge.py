@@ -1,9 +1,9 @@
 """Whether what was trained may answer, and how far: plain numbers in, a ruling and its reason out.
 
 Two questions, asked of the candidate as it will be served, its familiarity gate included: does it
-help on motion like that recorded, and does it not hurt on motion unlike it? The largest blend
-between the weights of base and candidate that passes both is taken. The clip is the unit, never
-the window: windows of a clip overlap and say the same twice.
+help on motion like that recorded, and does it not hurt on motion unlike it? The furthest reach
+of the gate that passes both is taken. The clip is the unit, never the window: windows of a clip
+overlap and say the same twice.
 """
 
 from collections.abc import Sequence
@@ -16,9 +16,12 @@ from jaxtyping import Float
 from app.domain.versions import Verdict
 from models.metrics import FRAMES
 
-SHARES = (0.85, 0.7, 0.5, 0.3)
-"""Blends that are tried, largest first; 0, the base itself, is what is left. All of the way costs
-more on other motion than it brings on the recorded (docs/personalisation.md)."""
+BLEND = 0.85
+"""How far the weights of a version are from the base's (0) to the fitted ones (1). All of the way
+costs more on other motion than it brings on the recorded (docs/personalisation.md)."""
+REACHES = (1.4, 1.2, 1.0, 0.8)
+"""Distances from what was recorded at which a version has half of the share, the furthest first;
+see `FamiliarityRule`. A nearer one gives up far less of the gain than a smaller blend does."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,25 +59,25 @@ class Figures:
 
     Attributes:
         before: of the base.
-        after: of the candidate, for every one of `SHARES`.
+        after: of the candidate, for every one of `REACHES`.
     """
 
     before: Float[np.ndarray, "clip frame"]
-    after: Float[np.ndarray, "share clip frame"]
+    after: Float[np.ndarray, "reach clip frame"]
 
     def __len__(self) -> int:
         """Count the clips."""
         return len(self.before)
 
-    def compare(self, share: float) -> "Comparison":
+    def compare(self, reach: float) -> "Comparison":
         """Compare a blend with the base, at the last frame."""
-        return compare(self.before[:, -1], self.after[SHARES.index(share), :, -1])
+        return compare(self.before[:, -1], self.after[REACHES.index(reach), :, -1])
 
-    def summarise(self, share: float) -> dict[str, Any]:
+    def summarise(self, reach: float) -> dict[str, Any]:
         """Write the figures of a blend as they are stored with a version."""
         if not len(self):
             return {"clips": 0}
-        after, found = self.after[SHARES.index(share)], self.compare(share)
+        after, found = self.after[REACHES.index(reach)], self.compare(reach)
         won = int((after[:, -1] < self.before[:, -1]).sum())
         return {
             "clips": len(self),
@@ -102,12 +105,12 @@ class Rival:
     Attributes:
         where: these clips, for people.
         base, active: their errors at the last frame, cm².
-        candidate: of the candidate, for every one of `SHARES`.
+        candidate: of the candidate, for every one of `REACHES`.
     """
 
     base: Float[np.ndarray, " clip"]
     active: Float[np.ndarray, " clip"]
-    candidate: Float[np.ndarray, "share clip"]
+    candidate: Float[np.ndarray, "reach clip"]
     where: str = "the new trial"
 
 
@@ -133,12 +136,12 @@ class Ruling:
 
     Attributes:
         verdict: whether it may answer.
-        share: the blend between base (0) and fitted weights (1) that it is stored with.
+        reach: of the gate that it is stored with, one of `REACHES`.
         message: why, for an operator.
     """
 
     verdict: Verdict
-    share: float
+    reach: float
     message: str
 
 
@@ -159,27 +162,29 @@ def compare(before: Float[np.ndarray, " clip"], after: Float[np.ndarray, " clip"
 
 
 def judge(evidence: Evidence, rule: JudgeRule | None = None) -> Ruling:
-    """Rule on a candidate: promote it at the largest blend that passes, or say what it failed."""
+    """Rule on a candidate: promote it at the furthest reach that passes, or say what it failed."""
     rule = rule or JudgeRule()
     both = join([evidence.like, evidence.unlike])
     if not (np.isfinite(both.after).all() and np.isfinite(both.before).all()):
-        return Ruling(Verdict.REJECT, SHARES[-1], "The fit went astray: its errors are not finite.")
-    best = min(SHARES, key=lambda share: both.compare(share).ratio)
+        return Ruling(
+            Verdict.REJECT, REACHES[-1], "The fit went astray: its errors are not finite."
+        )
+    best = min(REACHES, key=lambda reach: both.compare(reach).ratio)
     if not both.compare(best).ratio < 1:
         told = _tell("clips and parts of clips left out", both.compare(best))
         return _reject(evidence, best, f"It does not help: {told}.", rule)
-    passed = [share for share in SHARES if _is_admissible(evidence, share, rule)]
+    passed = [reach for reach in REACHES if _is_admissible(evidence, reach, rule)]
     if not passed:
-        return _reject(evidence, best, _explain_failure(evidence, SHARES[-1]), rule)
-    share = passed[0]
-    lost = _find_lost_trial(evidence, share, rule)
+        return _reject(evidence, best, _explain_failure(evidence, REACHES[-1]), rule)
+    reach = passed[0]
+    lost = _find_lost_trial(evidence, reach, rule)
     if lost is not None:
-        return _reject(evidence, share, lost, rule)
-    return Ruling(Verdict.PROMOTE, share, _explain_success(evidence, share))
+        return _reject(evidence, reach, lost, rule)
+    return Ruling(Verdict.PROMOTE, reach, _explain_success(evidence, reach))
 
 
-def _is_admissible(evidence: Evidence, share: float, rule: JudgeRule) -> bool:
-    like, unlike = evidence.like.compare(share), evidence.unlike.compare(share)
+def _is_admissible(evidence: Evidence, reach: float, rule: JudgeRule) -> bool:
+    like, unlike = evidence.like.compare(reach), evidence.unlike.compare(reach)
     if len(evidence.unlike) < FEWEST_UNLIKE:
         return False
     if not unlike.ratio <= 1 + rule.hurt_errors * unlike.error:
@@ -189,9 +194,9 @@ def _is_admissible(evidence: Evidence, share: float, rule: JudgeRule) -> bool:
     return not len(evidence.like) or like.ratio <= 1 + rule.like_errors * like.error
 
 
-def _explain_success(evidence: Evidence, share: float) -> str:
-    unlike = _percent(evidence.unlike.compare(share))
-    like = _percent(evidence.like.compare(share))
+def _explain_success(evidence: Evidence, reach: float) -> str:
+    unlike = _percent(evidence.unlike.compare(reach))
+    like = _percent(evidence.like.compare(reach))
     if evidence.trials:
         found = f"Whole trials left out: the error changes by {like}; other motion: {unlike}."
     else:
@@ -199,42 +204,42 @@ def _explain_success(evidence: Evidence, share: float) -> str:
             f"Motion left out altogether: the error changes by {unlike}; later parts of clips: "
             f"{like}. Another trial of the same motion will tell more."
         )
-    return f"Good enough to answer, at {share:.0%} of the way from the base. {found}"
+    return f"Good enough to answer, as far as {reach:.1f} from what was recorded. {found}"
 
 
-def _explain_failure(evidence: Evidence, share: float) -> str:
-    unlike, like = evidence.unlike.compare(share), evidence.like.compare(share)
+def _explain_failure(evidence: Evidence, reach: float) -> str:
+    unlike, like = evidence.unlike.compare(reach), evidence.like.compare(reach)
     if len(evidence.unlike) < FEWEST_UNLIKE:
         return "There is too little other motion to tell whether that would suffer; record more."
     return (
-        f"Even {share:.0%} of the way from the base is not good enough: on motion like that "
-        f"recorded the error changes by {_percent(like)}, on other motion by {_percent(unlike)}."
+        f"Even as near as {reach:.1f} to what was recorded it is not good enough: on motion like "
+        f"that the error changes by {_percent(like)}, on other motion by {_percent(unlike)}."
     )
 
 
-def _find_lost_trial(evidence: Evidence, share: float, rule: JudgeRule) -> str | None:
+def _find_lost_trial(evidence: Evidence, reach: float, rule: JudgeRule) -> str | None:
     """Say on which trial a candidate loses: against the base, or against the active version."""
     for name, figures in evidence.trials.items():
-        found = figures.compare(share)
+        found = figures.compare(reach)
         if found.ratio - rule.lose_errors * found.error > 1 + rule.lose_margin:
             return f"It loses on trial {name}, left out: {_percent(found)}."
     rival = evidence.rival
     if rival is not None:
-        found = compare(rival.active, rival.candidate[SHARES.index(share)])
+        found = compare(rival.active, rival.candidate[REACHES.index(reach)])
         if found.ratio - rule.lose_errors * found.error > 1 + rule.lose_margin:
             return f"It loses against the active version on {rival.where}: {_percent(found)}."
     return None
 
 
-def _reject(evidence: Evidence, share: float, why: str, rule: JudgeRule) -> Ruling:
+def _reject(evidence: Evidence, reach: float, why: str, rule: JudgeRule) -> Ruling:
     """Reject; and where the active version does harm on new motion, take that back as well."""
     rival = evidence.rival
     if rival is not None:
         found = compare(rival.base, rival.active)
         if found.ratio - rule.lose_errors * found.error > 1 + rule.lose_margin:
             told = f"The active version does harm on {rival.where} ({_percent(found)})"
-            return Ruling(Verdict.RETURN_TO_BASE, share, f"{why} {told}: back to the base.")
-    return Ruling(Verdict.REJECT, share, why)
+            return Ruling(Verdict.RETURN_TO_BASE, reach, f"{why} {told}: back to the base.")
+    return Ruling(Verdict.REJECT, reach, why)
 
 
 def _tell(where: str, found: Comparison) -> str:
@@ -258,4 +263,4 @@ def join(parts: Sequence[Figures]) -> Figures:
 def no_figures() -> Figures:
     """Give figures of no clip at all."""
     frames = len(FRAMES)
-    return Figures(np.zeros((0, frames)), np.zeros((len(SHARES), 0, frames)))
+    return Figures(np.zeros((0, frames)), np.zeros((len(REACHES), 0, frames)))

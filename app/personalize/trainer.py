@@ -1,7 +1,7 @@
 """The trainer that workers use: fits one person's decoder, examines it, and fits it on everything.
 
 Each fold is fitted by the very recipe of the final fit, and measured as it would be served, gate
-included; the final weights are those of the fit on all clips, blended as far as the judge allows.
+included; the final weights are those of the fit on all clips, and reach as far as the judge allows.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,7 +16,7 @@ from app.domain.body import measure_bones
 from app.domain.versions import Verdict
 from app.personalize.exam import Examined, examine, measure_rival
 from app.personalize.folds import MIN_BLOCKS, Fold, cut_blocks, make_folds
-from app.personalize.judge import SHARES, Evidence, Rival, Ruling, join, judge
+from app.personalize.judge import BLEND, REACHES, Evidence, Rival, Ruling, join, judge
 from app.personalize.run import Learned, Lesson, Report
 from models.checkpoint import (
     Checkpoint,
@@ -100,20 +100,20 @@ def train(lesson: Lesson, report: Report, *, config: FinetuneConfig | None = Non
     metrics = _summarise(ruling, evidence, lesson)
     described = {
         "data": data_hash(list(lesson.clips)),
-        "share": ruling.share,
+        "blend": BLEND,
         "finetuning": _describe(course.config),
         "bones": np.round(_measure_bones(lesson.clips), 4).tolist(),
     }
-    scale = fit_scale(base.radius, [part.distances(ruling.share) for part in examined])
+    scale = fit_scale(base.radius, [part.distances(ruling.reach) for part in examined])
     if scale is not None:
         described["radius_scale"] = metrics["radius_scale"] = round(scale, 4)
-    decoder = blend(base.predictor.decoder, whole.decoder, ruling.share)
+    decoder = blend(base.predictor.decoder, whole.decoder, BLEND)
     round_matrices(decoder)
     blob = dump_personal(
         decoder,
         described,
         base_sha256=base.sha256,
-        familiarity=whole.familiarity,
+        familiarity=whole.reaching(ruling.reach).familiarity,
     )
     return Learned(ruling.verdict, ruling.message, blob, metrics)
 
@@ -187,12 +187,15 @@ def _refight(
     The version itself was fitted on every trial, so nothing is left to measure it on. What can be
     compared fairly are fits on the same parts of the trials, on the old base and on the new one.
     """
-    share = min(SHARES, key=lambda one: abs(one - float(active.metadata.get("share", SHARES[0]))))
+    reach = REACHES[0]
+    if active.familiarity is not None:
+        half = active.familiarity.rule.half
+        reach = min(REACHES, key=lambda one: abs(one - half))
     old = join([part.both for part in course.examine(folds, first=len(folds))])
     new = join([part.both for part in examined])
     return Rival(
         base=old.before[:, -1],
-        active=old.after[SHARES.index(share), :, -1],
+        active=old.after[REACHES.index(reach), :, -1],
         candidate=new.after[:, :, -1],
         where="motion left out",
     )
@@ -201,21 +204,22 @@ def _refight(
 def _summarise(ruling: Ruling, evidence: Evidence, lesson: Lesson) -> dict[str, Any]:
     metrics: dict[str, Any] = {
         "frames": list(FRAMES),
-        "blend": ruling.share,
+        "blend": BLEND,
+        "reach": ruling.reach,
         "clips": len(lesson.clips),
-        "seen": evidence.like.summarise(ruling.share),
-        "unseen": evidence.unlike.summarise(ruling.share),
-        "blends": {
-            str(share): {
-                "seen": round(evidence.like.compare(share).ratio, 4),
-                "unseen": round(evidence.unlike.compare(share).ratio, 4),
+        "seen": evidence.like.summarise(ruling.reach),
+        "unseen": evidence.unlike.summarise(ruling.reach),
+        "reaches": {
+            str(reach): {
+                "seen": round(evidence.like.compare(reach).ratio, 4),
+                "unseen": round(evidence.unlike.compare(reach).ratio, 4),
             }
-            for share in SHARES
+            for reach in REACHES
         },
     }
     rival = evidence.rival
     if rival is not None:
-        candidate = rival.candidate[SHARES.index(ruling.share)]
+        candidate = rival.candidate[REACHES.index(ruling.reach)]
         metrics["rival"] = {
             "where": rival.where,
             "base_cm2": round(float(rival.base.mean()), 3),

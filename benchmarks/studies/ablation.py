@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from app.personalize.judge import SHARES
+from app.personalize.judge import BLEND
 from app.personalize.trainer import learn_familiarity
 from benchmarks.studies.bases import (
     FULL_ABLATION,
@@ -31,7 +31,7 @@ from models.training.bootstrap import bootstrap_ratios
 from models.training.finetune import FinetuneConfig, blend
 
 EVERY_PART = "every part"
-METHODS = {"base": "base", "plain": "fitted", "gated": f"fitted, {SHARES[0]:.0%} and gated"}
+METHODS = {"base": "base", "plain": "fitted", "gated": f"fitted, {BLEND:.0%} and gated"}
 THAWED_RATES = (3e-3, 1e-3, 3e-4)
 """Peaks of the rate for fits of the whole net; the first one is that of a decoder's fit."""
 
@@ -67,14 +67,14 @@ def compute(unit: Unit, lab: Lab) -> dict[str, Any]:
 def _fit_decoder(net: Predictor, trial: Sequence[Clip]) -> dict[str, Forecaster]:
     plain = make_plain(net, trial)
     gate = learn_familiarity(net, trial)
-    gated = PersonalDecoder(net, blend(net.decoder, plain.decoder, SHARES[0]), gate, {})
+    gated = PersonalDecoder(net, blend(net.decoder, plain.decoder, BLEND), gate, {})
     return {"plain": plain, "gated": gated}
 
 
 def _fit_whole(net: Predictor, trial: Sequence[Clip], rate: float) -> dict[str, Forecaster]:
     fitted = thaw(net, trial, replace(FinetuneConfig(), learning_rate=rate))
     gate = learn_familiarity(net, trial)
-    return {"plain": fitted, "gated": GatedNet(net, blend_nets(net, fitted, SHARES[0]), gate)}
+    return {"plain": fitted, "gated": GatedNet(net, blend_nets(net, fitted, BLEND), gate)}
 
 
 def tell(row: Row) -> str:

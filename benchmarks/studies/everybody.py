@@ -106,12 +106,12 @@ def _list_versions(rows: Sequence[Row], found: Sequence[Measured]) -> Table:
         (
             row["unit"],
             "promoted" if is_promoted(row) else row["verdict"],
-            f"{row['blend']}",
+            f"{row['reach']}",
             *(tell_ratio(one.compare(method, "base")[LAST]) for method in METHODS),
         )
         for row, one in zip(rows, found, strict=True)
     ]
-    columns = ("fitted to", "judge", "blend", *METHODS.values())
+    columns = ("fitted to", "judge", "reach", *METHODS.values())
     return Table(f"Error ÷ base at frame {LAST}, with a bootstrap over clips", columns, lines)
 
 

@@ -39,7 +39,7 @@ class Served:
         return {
             "verdict": str(outcome.verdict),
             "message": outcome.message,
-            "blend": outcome.metrics.get("blend"),
+            "reach": outcome.metrics.get("reach"),
             "clips_unused": len(outcome.flaws),
             "judged_s": round(self.seconds, 1),
         }

@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 
-from app.personalize.judge import SHARES
+from app.personalize.judge import BLEND
 from app.personalize.offline import personalize
 from app.personalize.trainer import learn_familiarity
 from benchmarks.studies.cache import Row
@@ -35,7 +35,7 @@ TIMED = f"{UTD}/7"
 Correct = Callable[[Predictor, Sequence[Clip]], Forecaster]
 CORRECTIONS: dict[str, Correct] = {"closed form": KernelCorrection.fit}
 """Personal versions in closed form, by name; each becomes a line beside the fits."""
-METHODS = {"plain": "fitted", "gated": f"{SHARES[0]:.0%} and gated"}
+METHODS = {"plain": "fitted", "gated": f"{BLEND:.0%} and gated"}
 
 
 def plan(_: Options) -> list[Unit]:
@@ -96,7 +96,7 @@ def fit_within(
         decoder = fit_decoder(net, encodings, config)
     fitted = monotonic()
     gate = learn_familiarity(net, trial)
-    gated = PersonalDecoder(net, blend(net.decoder, decoder, SHARES[0]), gate, {})
+    gated = PersonalDecoder(net, blend(net.decoder, decoder, BLEND), gate, {})
     return {"plain": PersonalDecoder(net, decoder, None, {}), "gated": gated}, {
         "steps": config.steps,
         "copies": config.copies,

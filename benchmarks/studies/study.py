@@ -6,7 +6,7 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
-from app.personalize.judge import SHARES, JudgeRule
+from app.personalize.judge import BLEND, REACHES, JudgeRule
 from benchmarks.studies.bases import Recipe, find_sha256, list_recipes
 from benchmarks.studies.cache import Row, make_key
 from benchmarks.studies.recordings import Place, hash_collection
@@ -133,7 +133,8 @@ def _describe_fit() -> dict[str, Any]:
     return {
         "finetuning": config | {"rates": dict(config["rates"])},
         "judge": asdict(JudgeRule()),
-        "shares": SHARES,
+        "blend": BLEND,
+        "reaches": REACHES,
         "gate": asdict(FamiliarityRule()) | {"directions": DIRECTIONS, "points": MOST_POINTS},
     }
 

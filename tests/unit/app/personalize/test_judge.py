@@ -2,16 +2,25 @@ import numpy as np
 import pytest
 
 from app.domain.versions import Verdict
-from app.personalize.judge import SHARES, Evidence, Figures, Rival, compare, join, judge, no_figures
+from app.personalize.judge import (
+    REACHES,
+    Evidence,
+    Figures,
+    Rival,
+    compare,
+    join,
+    judge,
+    no_figures,
+)
 from models.metrics import FRAMES
 
 
 def make_figures(*ratios: float, clips: int = 12, spread: float = 0.02, seed: int = 0) -> Figures:
-    """Clips on which the candidate at each share has this part of the base's error."""
+    """Clips on which the candidate at each reach has this part of the base's error."""
     draw = np.random.default_rng(seed)
     before = draw.uniform(10, 60, (clips, 1)) * np.linspace(0.2, 1, len(FRAMES))
-    wanted = np.array(ratios if len(ratios) > 1 else ratios * len(SHARES))
-    noise = 1 + spread * draw.standard_normal((len(SHARES), clips, 1))
+    wanted = np.array(ratios if len(ratios) > 1 else ratios * len(REACHES))
+    noise = 1 + spread * draw.standard_normal((len(REACHES), clips, 1))
     return Figures(before, before[None] * wanted[:, None, None] * noise)
 
 
@@ -24,19 +33,19 @@ def make_evidence(
     return Evidence(like, unlike, trials or {}, rival)
 
 
-def test_what_helps_and_does_no_harm_is_promoted_whole() -> None:
+def test_what_helps_and_does_no_harm_is_promoted_at_the_furthest_reach() -> None:
     ruling = judge(make_evidence(make_figures(0.9), make_figures(0.97)))
-    assert (ruling.verdict, ruling.share) == (Verdict.PROMOTE, SHARES[0])
+    assert (ruling.verdict, ruling.reach) == (Verdict.PROMOTE, REACHES[0])
     assert "-3." in ruling.message
 
 
-def test_the_largest_blend_that_does_no_harm_is_taken() -> None:
+def test_the_furthest_reach_that_does_no_harm_is_taken() -> None:
     unlike = make_figures(1.12, 1.06, 0.97, 0.98, spread=0.01)
     ruling = judge(make_evidence(make_figures(0.8), unlike))
-    assert (ruling.verdict, ruling.share) == (Verdict.PROMOTE, 0.5)
+    assert (ruling.verdict, ruling.reach) == (Verdict.PROMOTE, REACHES[2])
 
 
-def test_what_harms_at_every_blend_is_rejected() -> None:
+def test_what_harms_at_every_reach_is_rejected() -> None:
     ruling = judge(make_evidence(make_figures(0.9), make_figures(1.05, spread=0.01)))
     assert ruling.verdict is Verdict.REJECT
     assert "not good enough" in ruling.message
@@ -50,9 +59,9 @@ def test_what_never_helps_is_rejected() -> None:
 
 def test_later_parts_alone_reject_only_what_is_surely_worse() -> None:
     weak = make_figures(1.05, 1.04, 1.03, 0.99, clips=6, spread=0.2)
-    assert judge(make_evidence(weak, make_figures(0.95))).share == SHARES[0]
+    assert judge(make_evidence(weak, make_figures(0.95))).reach == REACHES[0]
     strong = make_figures(1.2, 1.1, 0.99, 0.98, spread=0.01)
-    assert judge(make_evidence(strong, make_figures(0.95))).share == 0.5
+    assert judge(make_evidence(strong, make_figures(0.95))).reach == REACHES[2]
 
 
 def test_whole_trials_left_out_must_show_the_gain() -> None:
@@ -113,7 +122,7 @@ def test_the_clip_is_the_unit() -> None:
 
 def test_figures_say_how_many_clips_were_won() -> None:
     figures = join([make_figures(0.9, clips=4, spread=0), make_figures(1.1, clips=3, spread=0)])
-    told = figures.summarise(SHARES[0])
+    told = figures.summarise(REACHES[0])
     assert (told["clips"], told["clips_won"], told["clips_lost"]) == (7, 4, 3)
     assert len(told["before_cm2"]) == len(told["after_cm2"]) == len(FRAMES)
 
@@ -121,7 +130,7 @@ def test_figures_say_how_many_clips_were_won() -> None:
 def test_without_later_parts_the_motion_left_out_decides() -> None:
     assert judge(make_evidence(no_figures(), make_figures(0.9))).verdict is Verdict.PROMOTE
     assert judge(make_evidence(no_figures(), make_figures(1.1))).verdict is Verdict.REJECT
-    assert no_figures().summarise(SHARES[0]) == {"clips": 0}
+    assert no_figures().summarise(REACHES[0]) == {"clips": 0}
 
 
 def test_without_enough_other_motion_nothing_is_promoted() -> None:
@@ -143,5 +152,5 @@ def test_errors_that_are_no_numbers_are_never_promoted(wrong: float) -> None:
 
 
 def test_figures_of_one_clip_have_no_standard_error() -> None:
-    told = make_figures(0.9, clips=1).summarise(SHARES[0])
+    told = make_figures(0.9, clips=1).summarise(REACHES[0])
     assert told["standard_error"] is None

@@ -57,7 +57,8 @@ def test_a_first_trial_becomes_weights_with_gate_radius_bones_and_figures(base: 
     assert personal.familiarity is not None
     assert len(personal.metadata["bones"]) == 8
     assert 0.5 <= personal.metadata["radius_scale"] <= 2
-    assert personal.metadata["share"] == learned.metrics["blend"]
+    assert personal.metadata["blend"] == learned.metrics["blend"]
+    assert personal.familiarity.rule.half == learned.metrics["reach"]
     assert learned.metrics["seen"]["clips"] > 0
     assert learned.metrics["unseen"]["clips"] >= 2
     assert [line["step"] for line in told] == list(range(1, 3 * QUICK.steps + 1))
