@@ -19,14 +19,19 @@ from benchmarks.studies.tables import (
     tell_ratios,
     tell_spread,
 )
+from models.checkpoint import load_checkpoint
+from models.correction import STRENGTH, WIDTH, KernelCorrection
 from models.data.splits import PERSONAL_TRIAL, TEST_SUBJECTS, TEST_TRIALS
 from models.metrics import FRAMES
 from models.training.bootstrap import bootstrap_ratios
+from models.training.compare import EARLY, LATE, PAPER_AFTER, PAPER_BEFORE
 from models.training.evaluate import PUBLISHED
 
 SHIPPED, PAPER = "shipped", "paper"
 FAMILIES = (SHIPPED, PAPER)
 """Bases by who trained them: everybody, or the paper's four people."""
+CLOSED_FORM = "closed-form"
+"""Personal versions of the same bases by a correction in closed form."""
 SEEDS = (0, 1, 2)
 Seeds = dict[int, dict[str, Measured]]
 """What was measured with bases of a family: by seed and subject."""
@@ -35,7 +40,7 @@ METHODS = {
     "served": "personal, with judge and gate",
     "plain": "personal, without",
 }
-PAPER_ROWS = {"base": "paper: base", "served": "paper: personal", "plain": "paper: personal"}
+PAPER_ROWS = {"base": PAPER_BEFORE, "served": PAPER_AFTER, "plain": PAPER_AFTER}
 PAIRS = (
     *(
         ((family, method), (family, reference))
@@ -49,11 +54,11 @@ PAIRS = (
         for family in FAMILIES
         for method, reference in (("base", "base"), ("served", "plain"), ("plain", "plain"))
     ),
+    *(((family, "served"), (f"{CLOSED_FORM}-{family}", "plain")) for family in FAMILIES),
     ((PAPER, "base"), (RIDGE, "base")),
     ((PAPER, "served"), (RIDGE, "plain")),
 )
 """What is divided by what, as (family, method)."""
-EARLY, LATE = (2, 4), (8, 10, 13, 15)
 
 
 def plan(_: Options) -> list[Unit]:
@@ -65,7 +70,8 @@ def plan(_: Options) -> list[Unit]:
         for subject in TEST_SUBJECTS
     ]
     units += [
-        _unit(f"{SIMLPE}-{family}", seed, subject)
+        _unit(f"{kind}-{family}", seed, subject)
+        for kind in (CLOSED_FORM, SIMLPE)
         for seed in SEEDS
         for family in FAMILIES
         for subject in TEST_SUBJECTS
@@ -76,15 +82,23 @@ def plan(_: Options) -> list[Unit]:
 def _unit(family: str, seed: int, subject: str) -> Unit:
     name, settings = f"{family}-{seed}", {"seed": seed, "family": family}
     is_peer = family not in FAMILIES
+    base = "" if family == RIDGE else name.removeprefix(f"{CLOSED_FORM}-")
     return Unit(
         f"{name}, subject {subject}",
-        "" if family == RIDGE else name,
+        base,
         f"{UTD}/{subject}",
         settings,
         seconds=25.0 if is_peer else 85.0,
         personal=not is_peer,
-        decided_by=describe_simlpe_fit() if family.startswith(SIMLPE) else {},
+        decided_by=_describe_fit(family),
     )
+
+
+def _describe_fit(family: str) -> Mapping[str, Any]:
+    """Describe what decides a peer's personal version but clips, base and seed."""
+    if family.startswith(SIMLPE):
+        return describe_simlpe_fit()
+    return {"kernel": [WIDTH, STRENGTH]} if family.startswith(CLOSED_FORM) else {}
 
 
 def compute(unit: Unit, lab: Lab) -> dict[str, Any]:
@@ -95,6 +109,9 @@ def compute(unit: Unit, lab: Lab) -> dict[str, Any]:
     seed, family = unit.settings["seed"], unit.settings["family"]
     if family.startswith(SIMLPE):
         methods = make_simlpe(lab.find_base(unit.base), trial, seed=seed)
+    elif family.startswith(CLOSED_FORM):
+        net = load_checkpoint(lab.read_base(unit.base)).predictor
+        methods = {"base": net, "plain": KernelCorrection.fit(net, trial)}
     elif family == RIDGE:
         methods = make_ridge(lab.recipes[f"{PAPER}-0"].select(lab.place), trial)
     else:

@@ -62,6 +62,14 @@ def test_the_ridge_is_a_peer_of_the_protocol(lab, monkeypatch):
     assert main.STUDY.headline(row)
 
 
+def test_the_correction_in_closed_form_has_the_same_base(lab):
+    row = compute(main.STUDY, "closed-form-paper-1, subject 2", lab)
+    assert row["base"] == "paper-1"
+    found = Measured.from_json(row["errors"])
+    assert methods_of(row) == {"zero_velocity", "base", "plain"}
+    assert found.cm2("base") != found.cm2("plain")
+
+
 def test_a_simlpe_is_trained_and_fine_tuned(lab, monkeypatch):
     monkeypatch.setattr(peers, "SimlpeFinetune", partial(SimlpeFinetune, steps=2))
     row = compute(main.STUDY, "simlpe-paper-1, subject 2", lab)
