@@ -40,8 +40,8 @@ class Floor:
 
     Attributes:
         encoder_bytes, decoder_bytes: of the weights that every frame meets, in single precision.
-        encoder_state_bytes: of those that multiply the encoder's state, in single precision. They are
-            read for every frame; the others, which meet what is observed, once for all of them.
+        encoder_state_bytes: of those that multiply the encoder's state, in single precision. They
+            are read for every frame; the others, which meet what is observed, once for all of them.
         encoder_kind: what the encoder's weights are kept in.
         observe, horizon: frames.
         rates: for each kind of processor.
