@@ -50,9 +50,11 @@ class PackedBase:
         shape: sizes and kinematic tree.
         encoder, decoder: the weights.
         observe, horizon: frames of a window and of a forecast.
-        encoder_frame_bytes, decoder_frame_bytes: of the weights that every frame meets, in single
+        encoder_bytes: of the streams' weights as they are kept, as often as a block of windows
+            reads them: what the frames meet once, what the state meets for every frame.
+        encoder_multiplications: of all frames of a window, in the streams.
+        decoder_frame_bytes: of the weights that are read again for every frame, in single
             precision.
-        encoder_state_bytes: of those that the encoder reads again for every frame.
     """
 
     shape: bytes
@@ -60,8 +62,8 @@ class PackedBase:
     decoder: Packed
     observe: int
     horizon: int
-    encoder_frame_bytes: int
-    encoder_state_bytes: int
+    encoder_bytes: int
+    encoder_multiplications: int
     decoder_frame_bytes: int
 
     @property
@@ -69,19 +71,27 @@ class PackedBase:
         """What the encoder's matrices are kept in."""
         return find_packed_kind(self.encoder)
 
+    @property
+    def is_folded(self) -> bool:
+        """Whether its hidden matrices are kept for sums and differences of halves."""
+        return _find_is_folded(self.encoder)
+
 
 def pack_base(base: Predictor) -> PackedBase:
     """Lay a base out."""
-    streams, decoder = base.encoder.streams, base.decoder
+    decoder, encoder = base.decoder, _pack_encoder(base)
+    read, multiplied = _count_streams(
+        base, find_packed_kind(encoder), is_folded=_find_is_folded(encoder)
+    )
     once = (decoder.start, decoder.token_z, decoder.token_c)
     return PackedBase(
         shape=_pack_shape(base),
-        encoder=_pack_encoder(base),
+        encoder=encoder,
         decoder=pack_decoder(decoder),
         observe=base.spec.observe,
         horizon=base.spec.horizon,
-        encoder_frame_bytes=4 * _count(streams),
-        encoder_state_bytes=4 * len(STREAMS) * 3 * base.encoder.hidden**2,
+        encoder_bytes=read,
+        encoder_multiplications=multiplied,
         decoder_frame_bytes=4 * (_count(decoder) - sum(map(_count, once))),
     )
 
@@ -98,7 +108,7 @@ def pack_decoder(decoder: Decoder, *, kind: Kind | None = None) -> Packed:
     kind = kind or _find_kind([*tiles, *fine])
     width = np.float16 if kind == "float16" else np.float32
     return _align(
-        _write(kind, _list_vectors(decoder), tiles)
+        _write(kind, _list_vectors(decoder), [_shorten(tile, kind) for tile in tiles])
         + b"".join(matrix.astype(width).tobytes() for matrix in fine)
     )
 
@@ -125,6 +135,10 @@ def pack_gate(gate: Familiarity) -> Packed:
         tiles,
     ]
     return _align(b"".join(np.ascontiguousarray(part, np.float32).tobytes() for part in parts))
+
+
+def _find_is_folded(encoder: Packed) -> bool:
+    return bool(struct.unpack_from("<3i", encoder.data)[2])
 
 
 def _find_kind(matrices: Sequence[Float[np.ndarray, "..."]]) -> Kind:
@@ -198,27 +212,57 @@ def _pack_encoder(base: Predictor) -> Packed:
     encoder, latent, attention = base.encoder, base.latent, base.encoder.attention
     vectors: list[Tensor] = []
     matrices: list[Tensor] = []
+    hidden: list[Tensor] = []
     for name in STREAMS:
         cell = dict(encoder.streams[name].named_parameters())
         vectors += _join_biases(cell["bias_ih_l0"], cell["bias_hh_l0"], encoder.hidden)
         matrices += [cell["weight_ih_l0"], cell["weight_hh_l0"]]
+        hidden += [cell["weight_hh_l0"]]
     vectors += _list_attention_vectors(attention)
     vectors += [_pad_vector(latent.to_z.bias), _pad_vector(latent.to_c.bias)]
     matrices += [attention.project.weight, attention.mix.weight]
     matrices += [latent.to_z.weight, latent.to_c.weight]
     tiles = [_tile(matrix).numpy() for matrix in matrices]
     kind: Kind = "bfloat16" if all(map(_is_brief, tiles)) else "float32"
-    return _align(_write(kind, vectors, tiles))
+    is_folded = all(map(_is_symmetric, hidden))
+    written = [_shorten(tile, kind) for tile in tiles]
+    if is_folded:
+        written[1 : 2 * len(hidden) : 2] = [_fold(matrix) for matrix in hidden]
+    return _align(_write(kind, vectors, written, is_folded=is_folded))
+
+
+def _halve(matrix: Float[Tensor, "output input"]) -> Float[Tensor, "gate to half from half"]:
+    """Split a cell's matrix into gates and into the left and right halves of its units."""
+    half = matrix.shape[1] // 2
+    return matrix.detach().view(-1, 2, half, 2, half)
+
+
+def _is_symmetric(matrix: Float[Tensor, "output input"]) -> bool:
+    """Tell whether a matrix is the same when the halves of its units change places."""
+    halves = _halve(matrix)
+    return torch.equal(halves, halves.flip(1, 3))
+
+
+def _fold(matrix: Float[Tensor, "output input"]) -> bytes:
+    """Write a symmetric matrix for the sum and for the difference of the state's halves.
+
+    These have more digits than 16 bits hold, but half the numbers: as many bytes, half the
+    arithmetic.
+    """
+    halves = _halve(matrix)
+    same, other = halves[:, 0, :, 0].flatten(0, 1), halves[:, 0, :, 1].flatten(0, 1)
+    both = ((same + other) / 2, (same - other) / 2)
+    return b"".join(_tile(part).numpy().tobytes() for part in both)
 
 
 def _write(
-    kind: Kind, vectors: Sequence[Tensor], tiles: Sequence[Float[np.ndarray, "..."]]
+    kind: Kind, vectors: Sequence[Tensor], matrices: Sequence[bytes], *, is_folded: bool = False
 ) -> bytes:
-    """Write a header, vectors in single precision, and matrices in tiles."""
+    """Write a header, vectors in single precision, and matrices as they are written already."""
     parts = [
-        struct.pack("<2i", _MAGIC, KINDS.index(kind)).ljust(ALIGNMENT, b"\0"),
+        struct.pack("<3i", _MAGIC, KINDS.index(kind), is_folded).ljust(ALIGNMENT, b"\0"),
         *(vector.detach().numpy().astype(np.float32).tobytes() for vector in vectors),
-        *(_shorten(tile, kind) for tile in tiles),
+        *matrices,
     ]
     return b"".join(parts)
 
@@ -282,6 +326,20 @@ def _tile(matrix: Float[Tensor, "output input"]) -> Float[Tensor, " weight"]:
     room = torch.zeros(_pad(outputs, TILE), _pad(inputs, 2))
     room[:outputs, :inputs] = matrix.detach()
     return room.view(-1, TILE, room.shape[1]).transpose(1, 2).contiguous().flatten()
+
+
+def _count_streams(base: Predictor, kind: Kind, *, is_folded: bool) -> tuple[int, int]:
+    """Count the bytes that the streams read for a block, and what they multiply for a window.
+
+    The state begins as zeros, and is multiplied with nothing in the first frame.
+    """
+    hidden, pose, frames = base.encoder.hidden, 3 * base.encoder.joints, base.spec.observe
+    width = 4 if kind == "float32" else 2
+    given, kept = (len(STREAMS) * 3 * hidden * inputs for inputs in (pose, hidden))
+    if is_folded:
+        kept //= 2
+    again = (frames - 1) * kept
+    return given * width + again * (4 if is_folded else width), given * frames + again
 
 
 def _count(part: nn.Module) -> int:

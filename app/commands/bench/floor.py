@@ -39,19 +39,17 @@ class Floor:
     """What bounds forecasts here.
 
     Attributes:
-        encoder_bytes, decoder_bytes: of the weights that every frame meets, in single precision.
-        encoder_state_bytes: of those that multiply the encoder's state, in single precision. They
-            are read for every frame; the others, which meet what is observed, once for all of them.
-        encoder_kind: what the encoder's weights are kept in.
-        observe, horizon: frames.
+        encoder_bytes: of its weights, as they are kept and as often as a block of windows reads
+            them.
+        encoder_multiplications: of a window.
+        decoder_bytes: of the weights in single precision that every frame reads.
+        horizon: frames.
         rates: for each kind of processor.
     """
 
     encoder_bytes: int
-    encoder_state_bytes: int
-    encoder_kind: Kind
+    encoder_multiplications: int
     decoder_bytes: int
-    observe: int
     horizon: int
     rates: dict[str, Rates]
 
@@ -61,19 +59,13 @@ class Floor:
         rates = self.rates.get(processor)
         if rates is None:
             return None
-        encoder = self._find_encoder(rates, min(users, BLOCK))
+        read = self.encoder_bytes / rates.gb_s["float32"] / 1e3
+        done = 2 * self.encoder_multiplications / rates.gflop_s / 1e3
+        encoder = max(done, read / min(users, BLOCK))
         size = self.decoder_bytes * WIDTHS[kind] / WIDTHS["float32"]
         read = size * self.horizon / rates.gb_s[kind] / 1e3
         done = self.decoder_bytes / 2 * self.horizon / rates.gflop_s / 1e3
         return encoder + max(done, read)
-
-    def _find_encoder(self, rates: Rates, windows: int) -> float:
-        """Give the floor of the encoder for a block of windows, microseconds per window."""
-        again = self.encoder_state_bytes * (self.observe - 1)
-        size = (self.encoder_bytes + again) * WIDTHS[self.encoder_kind] / WIDTHS["float32"]
-        read = size / rates.gb_s[self.encoder_kind] / 1e3
-        done = self.encoder_bytes / 2 * self.observe / rates.gflop_s / 1e3
-        return max(done, read / windows)
 
     def as_json(self) -> dict[str, Any]:
         """Give the figures for a report."""
@@ -90,11 +82,9 @@ def measure_floor(base: PackedBase) -> Floor:
         for name, number in PROCESSORS.items()
     }
     return Floor(
-        encoder_bytes=base.encoder_frame_bytes,
-        encoder_state_bytes=base.encoder_state_bytes,
-        encoder_kind=base.encoder_kind,
+        encoder_bytes=base.encoder_bytes,
+        encoder_multiplications=base.encoder_multiplications,
         decoder_bytes=base.decoder_frame_bytes,
-        observe=base.observe,
         horizon=base.horizon,
         rates=rates,
     )

@@ -2,12 +2,14 @@
 
 typedef struct {
     KIND(Cell) streams[TOKENS];
+    NAME(Folded) folded[TOKENS]; /* instead of the hidden matrices */
+    int is_folded;
     const float *bias_project, *bias_mix, *gain, *shift, *bias_latent;
     const WEIGHT *project, *mix, *to_z, *to_c;
 } KIND(Encoder);
 
 /* Find the parts of an encoder that `pack.py` laid out; gives its size in bytes. */
-static size_t KIND(find_encoder)(KIND(Encoder) * e, const Shape *s, const char *block) {
+static size_t KIND(find_encoder)(KIND(Encoder) * e, const Shape *s, const char *block, int is_folded) {
     const float *f = (const float *)block;
     const int inputs = padded(3 * s->joints, 2), hidden = s->hidden;
     for (int i = 0; i < TOKENS; i++) {
@@ -24,8 +26,15 @@ static size_t KIND(find_encoder)(KIND(Encoder) * e, const Shape *s, const char *
     for (int i = 0; i < TOKENS; i++) {
         e->streams[i].inputs = inputs, e->streams[i].size = hidden;
         e->streams[i].input = w, w += inputs * 3 * hidden;
-        e->streams[i].hidden = w, w += hidden * 3 * hidden;
+        e->streams[i].hidden = w;
+        if (is_folded) {
+            e->folded[i].sum = (const float *)w;
+            e->folded[i].difference = e->folded[i].sum + NAME(measure_folded)(hidden);
+            w = (const WEIGHT *)(e->folded[i].difference + NAME(measure_folded)(hidden));
+        } else
+            w += hidden * 3 * hidden;
     }
+    e->is_folded = is_folded;
     e->project = w, w += hidden * 3 * hidden;
     e->mix = w, w += hidden * hidden;
     e->to_z = w, w += 3 * hidden * padded(s->z, TILE);
@@ -33,24 +42,20 @@ static size_t KIND(find_encoder)(KIND(Encoder) * e, const Shape *s, const char *
     return (size_t)((const char *)w - block);
 }
 
-/* out (+)= x W for any number of vectors: a tile comes from the second level of the cache once, and stays
-   in the first until all of them have met it. */
-static TARGET void KIND(multiply_many)(
-    int rows, float *out, int out_step, const float *x, int x_step, const WEIGHT *w, const float *bias, int inputs,
-    int outputs) {
-    for (int tile = 0; tile < outputs; tile += TILE, w += TILE * inputs) {
-        for (int done = 0, some; done < rows; done += some) {
-            some = rows - done < ROWS ? rows - done : LANES == 16 && rows - done >= 2 * ROWS ? 2 * ROWS : ROWS;
-            KIND(multiply)(some, out + done * out_step + tile, out_step, x + done * x_step, x_step, w,
-                           bias ? bias + tile : NULL, inputs, TILE);
-        }
-    }
+/* What the state adds to the gates of `rows` windows, `step` apart, and the third gate's part of it. */
+static TARGET void KIND(multiply_state)(
+    int rows, int inputs, const KIND(Cell) * cell, const float *state, float *gates, int step, float *kept) {
+    const int size = cell->size;
+    KIND(multiply_many)(rows, gates, step, state, MAX_HIDDEN, cell->hidden, NULL, inputs, 2 * size);
+    KIND(multiply_many)(rows, kept, MAX_HIDDEN, state, MAX_HIDDEN, cell->hidden + 2 * size * size, cell->bias_hidden,
+                        inputs, size);
 }
 
 /* Run a stream over all frames. What the gates are given by the frames does not depend on the state, so it
    comes first, in one product; what the state adds to it follows frame by frame. */
 static TARGET void KIND(run_stream)(
-    int rows, int frames, const KIND(Cell) * cell, float (*seen)[3 * MAX_JOINTS], float (*state)[MAX_HIDDEN]) {
+    int rows, int frames, const KIND(Cell) * cell, const NAME(Folded) * folded, float (*seen)[3 * MAX_JOINTS],
+    float (*state)[MAX_HIDDEN]) {
     float gates[BLOCK * MAX_OBSERVE][3 * MAX_HIDDEN] __attribute__((aligned(64)));
     float kept[BLOCK][MAX_HIDDEN] __attribute__((aligned(64)));
     const int size = cell->size, step = frames * 3 * MAX_HIDDEN;
@@ -58,10 +63,12 @@ static TARGET void KIND(run_stream)(
                         cell->inputs, 3 * size);
     memset(state, 0, rows * sizeof *state);
     for (int t = 0; t < frames; t++) {
-        const int known = t ? size : 0; /* the state begins as zeros, and adds nothing */
-        KIND(multiply_many)(rows, gates[t], step, state[0], MAX_HIDDEN, cell->hidden, NULL, known, 2 * size);
-        KIND(multiply_many)(rows, kept[0], MAX_HIDDEN, state[0], MAX_HIDDEN, cell->hidden + 2 * size * size,
-                            cell->bias_hidden, known, size);
+        if (!t) /* the state begins as zeros, and adds nothing */
+            KIND(multiply_state)(rows, 0, cell, state[0], gates[t], step, kept[0]);
+        else if (folded)
+            NAME(multiply_folded)(rows, size, folded, state[0], gates[t], step, kept[0], cell->bias_hidden);
+        else
+            KIND(multiply_state)(rows, size, cell, state[0], gates[t], step, kept[0]);
         NAME(renew)(rows, size, state[0], gates[t], step, gates[t] + 2 * size, step, kept[0]);
     }
 }
@@ -88,7 +95,7 @@ static TARGET void KIND(encode_rows)(
     for (int r = 0; r < rows; r++)
         NAME(place)(s, windows + (size_t)r * frames * s->joints * 3, out + r, seen, r * frames);
     for (int stream = 0; stream < TOKENS; stream++) {
-        KIND(run_stream)(rows, frames, &e->streams[stream], seen[stream], state);
+        KIND(run_stream)(rows, frames, &e->streams[stream], e->is_folded ? &e->folded[stream] : NULL, seen[stream], state);
         for (int r = 0; r < rows; r++) memcpy(tokens + r * window + stream * width, state[r], width * sizeof(float));
     }
     KIND(attend_rows)(rows, s, e, tokens);
@@ -103,10 +110,11 @@ static TARGET void KIND(encode_rows)(
     }
 }
 
-static TARGET void KIND(encode)(const Shape *s, const char *block, const double *windows, Encoded *out, int count) {
+static TARGET void KIND(encode)(
+    const Shape *s, const char *block, int is_folded, const double *windows, Encoded *out, int count) {
     KIND(Encoder) e;
     const size_t size = (size_t)s->observe * s->joints * 3;
-    KIND(find_encoder)(&e, s, block);
+    KIND(find_encoder)(&e, s, block, is_folded);
     for (int done = 0, rows; done < count; done += rows) {
         rows = count - done < BLOCK ? count - done : BLOCK;
         KIND(encode_rows)(rows, s, &e, windows + done * size, out + done);

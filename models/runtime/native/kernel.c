@@ -34,7 +34,7 @@ enum { FLOAT32, FLOAT16, BFLOAT16, KINDS };
 
 typedef struct {
     const char *name;
-    void (*encode[KINDS])(const Shape *, const char *, const double *, Encoded *, int); /* not FLOAT16 */
+    void (*encode[KINDS])(const Shape *, const char *, int, const double *, Encoded *, int); /* not FLOAT16 */
     void (*decode[KINDS])(const Shape *, const char *, const Encoded *const *, float *const *, int);
     float (*distance)(const float *, const float *, int, int, int);
     float (*read)(const float *, size_t, int);
@@ -77,6 +77,8 @@ typedef struct {
 } Call;
 
 static int kind_of(const char *block) { return ((const int32_t *)block)[1]; }
+
+static int is_folded(const char *encoder) { return ((const int32_t *)encoder)[2]; }
 
 static void roll_out(const Call *call, const char *decoder, const Encoded **encoded, float **out, int count) {
     call->processor->decode[kind_of(decoder)](call->shape, decoder + HEADER, encoded, out, count);
@@ -132,8 +134,8 @@ static void run(Call *call, const Encoded **encoded, float **out, char *done) {
     const Shape *s = call->shape;
     const int size = 3 * s->horizon * s->joints;
     int count = 0;
-    call->processor->encode[kind_of(call->encoder)](s, call->encoder + HEADER, call->windows, call->encoded,
-                                                    call->count);
+    call->processor->encode[kind_of(call->encoder)](
+        s, call->encoder + HEADER, is_folded(call->encoder), call->windows, call->encoded, call->count);
     for (int row = 0; row < call->count; row++) {
         call->share[row] = weigh(call, row);
         done[row] = !(call->share[row] != 0.0f);
@@ -210,16 +212,17 @@ static int check_shape(const Py_buffer *view) {
 }
 
 /* The size of an encoder's weights in bytes, 0 for a kind that there is not. */
-static size_t measure_encoder(const Shape *s, int kind, const char *block) {
+static size_t measure_encoder(const Shape *s, int kind, int is_folded, const char *block) {
     Encoder_avx2_full full;
     Encoder_avx2_brief brief;
-    if (kind == FLOAT32) return find_encoder_avx2_full(&full, s, block);
-    return kind == BFLOAT16 ? find_encoder_avx2_brief(&brief, s, block) : 0;
+    if (kind == FLOAT32) return find_encoder_avx2_full(&full, s, block, is_folded);
+    return kind == BFLOAT16 ? find_encoder_avx2_brief(&brief, s, block, is_folded) : 0;
 }
 
 static int check_encoder(const Shape *s, const Py_buffer *view) {
     if (view->len >= HEADER && *(const int32_t *)view->buf == MAGIC) {
-        const size_t size = measure_encoder(s, kind_of(view->buf), (const char *)view->buf + HEADER);
+        const char *block = (const char *)view->buf + HEADER;
+        const size_t size = measure_encoder(s, kind_of(view->buf), is_folded(view->buf), block);
         if (size && (size_t)view->len == HEADER + size) return 0;
     }
     PyErr_SetString(PyExc_ValueError, "not an encoder of this shape");

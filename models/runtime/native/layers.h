@@ -143,6 +143,7 @@ INLINE void NAME(attend)(float *out, const float *split, int width, int heads) {
 #define KIND(a) JOIN(NAME(a), full)
 #include "products.h"
 #include "rollout.h"
+#include "folded.h"
 #include "encode.h"
 #undef WEIGHT
 #undef FINE

@@ -9,7 +9,7 @@ INLINE void KIND(multiply_rows)(
     const WEIGHT *restrict w, const float *restrict bias, int inputs, int outputs) {
     const int vectors = rows == 1 || (LANES == 16 && rows <= ROWS) ? 4 : 2; /* as many sums as there are registers */
     for (int tile = 0; tile < outputs; tile += TILE, w += TILE * inputs) {
-        for (int first = 0; first < TILE / LANES; first += vectors) {
+        for (int first = 0; first < TILE / LANES && tile + first * LANES < outputs; first += vectors) {
             const WEIGHT *part = w + first * LANES;
             VEC sum[2 * ROWS][4], weights[4];
             for (int r = 0; r < rows; r++) {
@@ -70,6 +70,20 @@ INLINE void KIND(multiply)(
     if (rows == 3) KIND(multiply_3)(out, out_step, x, x_step, w, bias, inputs, outputs);
     if (rows == 4) KIND(multiply_4)(out, out_step, x, x_step, w, bias, inputs, outputs);
     if (rows == 8) KIND(multiply_8)(out, out_step, x, x_step, w, bias, inputs, outputs);
+}
+
+/* out (+)= x W for any number of vectors: a tile comes from the second level of the cache once, and stays
+   in the first until all of them have met it. */
+static inline TARGET void KIND(multiply_many)(
+    int rows, float *out, int out_step, const float *x, int x_step, const WEIGHT *w, const float *bias, int inputs,
+    int outputs) {
+    for (int tile = 0; tile < outputs; tile += TILE, w += TILE * inputs) {
+        for (int done = 0, some; done < rows; done += some) {
+            some = rows - done < ROWS ? rows - done : LANES == 16 && rows - done >= 2 * ROWS ? 2 * ROWS : ROWS;
+            KIND(multiply)(some, out + done * out_step + tile, out_step, x + done * x_step, x_step, w,
+                           bias ? bias + tile : NULL, inputs, outputs - tile < TILE ? outputs - tile : TILE);
+        }
+    }
 }
 
 /* Weights of a recurrent cell (GRU): gates reset, update, new, as torch orders them. */

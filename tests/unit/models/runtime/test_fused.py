@@ -17,6 +17,7 @@ from models.rounding import round_matrices
 from models.runtime import fused
 from models.runtime.fused import PROCESSORS, PackedPerson, find_packed, forecast_fused
 from models.runtime.pack import KINDS, Packed, find_packed_kind, pack_decoder, pack_gate
+from models.symmetry import Symmetry
 from tests.nets import SMALL
 from tests.unit.models.conftest import believable_motion
 
@@ -80,8 +81,24 @@ PACKED = [
 ]
 
 
-ROUNDED = copy.deepcopy(NET)
-round_matrices(ROUNDED)
+def make_rounded(net: Predictor) -> Predictor:
+    rounded = copy.deepcopy(net)
+    round_matrices(rounded)
+    return rounded
+
+
+def make_symmetric() -> Predictor:
+    net = make_net(replace(SIZES, continuous=34))
+    Symmetry(net).impose(net)
+    return net
+
+
+NETS = {
+    "float32": NET,
+    "bfloat16": make_rounded(NET),
+    "symmetric float32": make_symmetric(),
+    "symmetric bfloat16": make_rounded(make_symmetric()),
+}
 
 
 def check(windows: np.ndarray, rows: list[int | None], processor: str) -> np.ndarray:
@@ -142,12 +159,13 @@ def test_nets_of_other_sizes_have_a_kernel_too(heads: int) -> None:
 
 
 @pytest.mark.parametrize("processor", PROCESSORS)
-@pytest.mark.parametrize("net", [NET, ROUNDED], ids=["float32", "bfloat16"])
+@pytest.mark.parametrize("name", NETS)
 @pytest.mark.parametrize("count", range(1, 10))
-def test_blocks_of_any_size_are_encoded_alike(net: Predictor, count: int, processor: str) -> None:
-    base = find_packed(net)
+def test_blocks_of_any_size_are_encoded_alike(name: str, count: int, processor: str) -> None:
+    net, base = NETS[name], find_packed(NETS[name])
     assert base is not None
-    assert base.encoder_kind == ("bfloat16" if net is ROUNDED else "float32")
+    assert name.removeprefix("symmetric ") == base.encoder_kind
+    assert name.startswith("symmetric") == base.is_folded
     made = forecast_fused(base, WINDOWS[:count], [None] * count, processor=processor).displacement
     given_ = torch.from_numpy(WINDOWS[:count])
     assert np.abs(made - (net(given_) - given_[:, -1:]).numpy()).max() < 1e-5
@@ -219,6 +237,10 @@ def test_what_does_not_fit_is_refused_before_anything_is_read() -> None:
     for kind in ("bfloat16", "float16", "nothing"):
         with pytest.raises(ValueError, match="encoder"):
             forecast_fused(replace(base, encoder=rename(base.encoder, kind)), WINDOWS[:1], [None])
+    folded = base.encoder.copy()
+    folded.view(np.int32)[2] = 1  # its hidden matrices would have another size
+    with pytest.raises(ValueError, match="encoder"):
+        forecast_fused(replace(base, encoder=folded), WINDOWS[:1], [None])
     with pytest.raises(ValueError, match="gate"):
         forecast_fused(base, WINDOWS[:1], [PackedPerson(PACKED[0].decoder, PACKED[0].decoder)])
     with pytest.raises(ValueError, match="size"):
