@@ -31,8 +31,8 @@ from models.skeleton import (
 )
 
 TILE = 64
-ROWS = 4
-"""Windows that share a pass over shared weights."""
+BLOCK = 8
+"""Windows that the encoder takes at once."""
 ALIGNMENT = 64
 MAX_JOINTS = 32
 _MAGIC = 0x4B494E45
@@ -50,8 +50,9 @@ class PackedBase:
         shape: sizes and kinematic tree.
         encoder, decoder: the weights.
         observe, horizon: frames of a window and of a forecast.
-        encoder_frame_bytes, decoder_frame_bytes: of the weights that are read again for every
-            frame, in single precision.
+        encoder_frame_bytes, decoder_frame_bytes: of the weights that every frame meets, in single
+            precision.
+        encoder_state_bytes: of those that the encoder reads again for every frame.
     """
 
     shape: bytes
@@ -60,7 +61,13 @@ class PackedBase:
     observe: int
     horizon: int
     encoder_frame_bytes: int
+    encoder_state_bytes: int
     decoder_frame_bytes: int
+
+    @property
+    def encoder_kind(self) -> Kind:
+        """What the encoder's matrices are kept in."""
+        return find_packed_kind(self.encoder)
 
 
 def pack_base(base: Predictor) -> PackedBase:
@@ -74,6 +81,7 @@ def pack_base(base: Predictor) -> PackedBase:
         observe=base.spec.observe,
         horizon=base.spec.horizon,
         encoder_frame_bytes=4 * _count(streams),
+        encoder_state_bytes=4 * len(STREAMS) * 3 * base.encoder.hidden**2,
         decoder_frame_bytes=4 * (_count(decoder) - sum(map(_count, once))),
     )
 
@@ -88,21 +96,15 @@ def pack_decoder(decoder: Decoder, *, kind: Kind | None = None) -> Packed:
     tiles = [matrix.detach().numpy() for matrix in _list_matrices(decoder)]
     fine = [matrix.detach().numpy() for matrix in _list_fine_matrices(decoder)]
     kind = kind or _find_kind([*tiles, *fine])
-    vectors = np.concatenate([vector.detach().numpy() for vector in _list_vectors(decoder)])
-    parts = [
-        struct.pack("<2i", _MAGIC, KINDS.index(kind)).ljust(ALIGNMENT, b"\0"),
-        vectors.astype(np.float32).tobytes(),
-        *(_shorten(matrix, kind) for matrix in tiles),
-        *(
-            matrix.astype(np.float16 if kind == "float16" else np.float32).tobytes()
-            for matrix in fine
-        ),
-    ]
-    return _align(b"".join(parts))
+    width = np.float16 if kind == "float16" else np.float32
+    return _align(
+        _write(kind, _list_vectors(decoder), tiles)
+        + b"".join(matrix.astype(width).tobytes() for matrix in fine)
+    )
 
 
 def find_packed_kind(packed: Packed) -> Kind:
-    """Tell what the matrices of a decoder that was laid out are kept in."""
+    """Tell what the matrices of a decoder, or of an encoder, that was laid out are kept in."""
     _, number = struct.unpack_from("<2i", packed.data)
     return KINDS[int(number)]
 
@@ -192,18 +194,33 @@ def _walk(parents: tuple[int, ...]) -> tuple[list[int], list[int], list[int]]:
 
 
 def _pack_encoder(base: Predictor) -> Packed:
-    encoder, latent = base.encoder, base.latent
-    parts: list[Tensor] = []
+    """Lay the encoder out, in 16 bits where that loses nothing."""
+    encoder, latent, attention = base.encoder, base.latent, base.encoder.attention
+    vectors: list[Tensor] = []
+    matrices: list[Tensor] = []
     for name in STREAMS:
         cell = dict(encoder.streams[name].named_parameters())
-        parts += _join_biases(cell["bias_ih_l0"], cell["bias_hh_l0"], encoder.hidden)
-        parts += [_tile(cell["weight_ih_l0"]), _tile(cell["weight_hh_l0"])]
-    attention = encoder.attention
-    parts += _list_attention_vectors(attention)
-    parts += [_pad_vector(latent.to_z.bias), _pad_vector(latent.to_c.bias)]
-    parts += [_tile(attention.project.weight), _tile(attention.mix.weight)]
-    parts += [_tile(latent.to_z.weight), _tile(latent.to_c.weight)]
-    return _align(b"".join(part.detach().numpy().tobytes() for part in parts))
+        vectors += _join_biases(cell["bias_ih_l0"], cell["bias_hh_l0"], encoder.hidden)
+        matrices += [cell["weight_ih_l0"], cell["weight_hh_l0"]]
+    vectors += _list_attention_vectors(attention)
+    vectors += [_pad_vector(latent.to_z.bias), _pad_vector(latent.to_c.bias)]
+    matrices += [attention.project.weight, attention.mix.weight]
+    matrices += [latent.to_z.weight, latent.to_c.weight]
+    tiles = [_tile(matrix).numpy() for matrix in matrices]
+    kind: Kind = "bfloat16" if all(map(_is_brief, tiles)) else "float32"
+    return _align(_write(kind, vectors, tiles))
+
+
+def _write(
+    kind: Kind, vectors: Sequence[Tensor], tiles: Sequence[Float[np.ndarray, "..."]]
+) -> bytes:
+    """Write a header, vectors in single precision, and matrices in tiles."""
+    parts = [
+        struct.pack("<2i", _MAGIC, KINDS.index(kind)).ljust(ALIGNMENT, b"\0"),
+        *(vector.detach().numpy().astype(np.float32).tobytes() for vector in vectors),
+        *(_shorten(tile, kind) for tile in tiles),
+    ]
+    return b"".join(parts)
 
 
 def _list_vectors(decoder: Decoder) -> list[Tensor]:

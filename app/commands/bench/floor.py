@@ -12,7 +12,7 @@ import numpy as np
 
 from models.runtime import fused
 from models.runtime.fused import PROCESSORS
-from models.runtime.pack import KINDS, ROWS, Kind, PackedBase
+from models.runtime.pack import BLOCK, KINDS, Kind, PackedBase
 
 TRIES = 15
 WIDTHS: dict[str, int] = {"float32": 4, "float16": 2, "bfloat16": 2}
@@ -39,12 +39,17 @@ class Floor:
     """What bounds forecasts here.
 
     Attributes:
-        encoder_bytes, decoder_bytes: of the weights in single precision that every frame reads.
+        encoder_bytes, decoder_bytes: of the weights that every frame meets, in single precision.
+        encoder_state_bytes: of those that multiply the encoder's state, in single precision. They
+            are read for every frame; the others, which meet what is observed, once for all of them.
+        encoder_kind: what the encoder's weights are kept in.
         observe, horizon: frames.
         rates: for each kind of processor.
     """
 
     encoder_bytes: int
+    encoder_state_bytes: int
+    encoder_kind: Kind
     decoder_bytes: int
     observe: int
     horizon: int
@@ -56,13 +61,19 @@ class Floor:
         rates = self.rates.get(processor)
         if rates is None:
             return None
-        read = self.encoder_bytes * self.observe / rates.gb_s["float32"] / 1e3
-        done = self.encoder_bytes / 2 * self.observe / rates.gflop_s / 1e3
-        encoder = read if users < ROWS else max(done, read / ROWS)
+        encoder = self._find_encoder(rates, min(users, BLOCK))
         size = self.decoder_bytes * WIDTHS[kind] / WIDTHS["float32"]
         read = size * self.horizon / rates.gb_s[kind] / 1e3
         done = self.decoder_bytes / 2 * self.horizon / rates.gflop_s / 1e3
         return encoder + max(done, read)
+
+    def _find_encoder(self, rates: Rates, windows: int) -> float:
+        """Give the floor of the encoder for a block of windows, microseconds per window."""
+        again = self.encoder_state_bytes * (self.observe - 1)
+        size = (self.encoder_bytes + again) * WIDTHS[self.encoder_kind] / WIDTHS["float32"]
+        read = size / rates.gb_s[self.encoder_kind] / 1e3
+        done = self.encoder_bytes / 2 * self.observe / rates.gflop_s / 1e3
+        return max(done, read / windows)
 
     def as_json(self) -> dict[str, Any]:
         """Give the figures for a report."""
@@ -80,6 +91,8 @@ def measure_floor(base: PackedBase) -> Floor:
     }
     return Floor(
         encoder_bytes=base.encoder_frame_bytes,
+        encoder_state_bytes=base.encoder_state_bytes,
+        encoder_kind=base.encoder_kind,
         decoder_bytes=base.decoder_frame_bytes,
         observe=base.observe,
         horizon=base.horizon,

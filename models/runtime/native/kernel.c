@@ -29,12 +29,12 @@
 #define MAGIC 0x4b494e45
 #define SNAP 0.01f
 
-/* What a decoder's matrices are kept in. */
+/* What the matrices of a decoder, or of the encoder, are kept in. */
 enum { FLOAT32, FLOAT16, BFLOAT16, KINDS };
 
 typedef struct {
     const char *name;
-    void (*encode)(const Shape *, const char *, const double *, Encoded *, int);
+    void (*encode[KINDS])(const Shape *, const char *, const double *, Encoded *, int); /* not FLOAT16 */
     void (*decode[KINDS])(const Shape *, const char *, const Encoded *const *, float *const *, int);
     float (*distance)(const float *, const float *, int, int, int);
     float (*read)(const float *, size_t, int);
@@ -45,10 +45,11 @@ typedef struct {
 } Processor;
 
 static const Processor PROCESSORS[] = {
-    {"avx512", encode_avx512, {decode_avx512_full, decode_avx512_half, decode_avx512_brief}, distance_avx512, read_avx512,
+    {"avx512", {encode_avx512_full, NULL, encode_avx512_brief},
+     {decode_avx512_full, decode_avx512_half, decode_avx512_brief}, distance_avx512, read_avx512,
      read_half_avx512, read_brief_avx512, calculate_avx512, &lanes_avx512},
-    {"avx2", encode_avx2, {decode_avx2_full, decode_avx2_half, decode_avx2_brief}, distance_avx2, read_avx2, read_half_avx2, read_brief_avx2,
-     calculate_avx2, &lanes_avx2},
+    {"avx2", {encode_avx2_full, NULL, encode_avx2_brief}, {decode_avx2_full, decode_avx2_half, decode_avx2_brief},
+     distance_avx2, read_avx2, read_half_avx2, read_brief_avx2, calculate_avx2, &lanes_avx2},
 };
 enum { KNOWN = sizeof PROCESSORS / sizeof *PROCESSORS };
 
@@ -75,7 +76,7 @@ typedef struct {
     int count;
 } Call;
 
-static int kind_of(const char *decoder) { return ((const int32_t *)decoder)[1]; }
+static int kind_of(const char *block) { return ((const int32_t *)block)[1]; }
 
 static void roll_out(const Call *call, const char *decoder, const Encoded **encoded, float **out, int count) {
     call->processor->decode[kind_of(decoder)](call->shape, decoder + HEADER, encoded, out, count);
@@ -131,7 +132,8 @@ static void run(Call *call, const Encoded **encoded, float **out, char *done) {
     const Shape *s = call->shape;
     const int size = 3 * s->horizon * s->joints;
     int count = 0;
-    call->processor->encode(s, call->encoder, call->windows, call->encoded, call->count);
+    call->processor->encode[kind_of(call->encoder)](s, call->encoder + HEADER, call->windows, call->encoded,
+                                                    call->count);
     for (int row = 0; row < call->count; row++) {
         call->share[row] = weigh(call, row);
         done[row] = !(call->share[row] != 0.0f);
@@ -207,9 +209,19 @@ static int check_shape(const Py_buffer *view) {
     return problem ? -1 : 0;
 }
 
+/* The size of an encoder's weights in bytes, 0 for a kind that there is not. */
+static size_t measure_encoder(const Shape *s, int kind, const char *block) {
+    Encoder_avx2_full full;
+    Encoder_avx2_brief brief;
+    if (kind == FLOAT32) return find_encoder_avx2_full(&full, s, block);
+    return kind == BFLOAT16 ? find_encoder_avx2_brief(&brief, s, block) : 0;
+}
+
 static int check_encoder(const Shape *s, const Py_buffer *view) {
-    Encoder_avx2 encoder;
-    if ((size_t)view->len == find_encoder_avx2(&encoder, s, view->buf)) return 0;
+    if (view->len >= HEADER && *(const int32_t *)view->buf == MAGIC) {
+        const size_t size = measure_encoder(s, kind_of(view->buf), (const char *)view->buf + HEADER);
+        if (size && (size_t)view->len == HEADER + size) return 0;
+    }
     PyErr_SetString(PyExc_ValueError, "not an encoder of this shape");
     return -1;
 }

@@ -72,6 +72,21 @@ INLINE void NAME(normalize)(float *x, const float *y, const float *gain, const f
     }
 }
 
+/* The state of a recurrent cell after a step, from what the products gave: its gates (reset, update), and
+   the third in two parts, of the input and of the state; `gates` and `given` are `step` and `given_step` apart. */
+INLINE void NAME(renew)(
+    int rows, int size, float *state, const float *gates, int step, const float *given, int given_step,
+    const float *kept) {
+    for (int r = 0; r < rows; r++, gates += step, given += given_step, kept += MAX_HIDDEN, state += MAX_HIDDEN) {
+        for (int i = 0; i < size; i += LANES) {
+            const VEC reset = NAME(sigmoid)(LOAD(gates + i));
+            const VEC update = NAME(sigmoid)(LOAD(gates + size + i));
+            const VEC fresh = NAME(hyperbolic)(FMA(reset, LOAD(kept + i), LOAD(given + i)));
+            STORE(state + i, FMA(update, SUB(LOAD(state + i), fresh), fresh));
+        }
+    }
+}
+
 /* Dot products of three tokens with each other, softmax, weighted sums; `split` holds each token's
    query, key and value one after the other. A softmax is over three numbers, so all of them are done
    side by side: weights[j] holds what every head and token gives to token j. */
@@ -110,6 +125,8 @@ INLINE void NAME(attend)(float *out, const float *split, int width, int heads) {
         }
     }
 }
+
+#include "place.h"
 
 /* Where a vector of a tile's outputs stands, and how its weights are read. In bfloat16 each word
    holds the weights of two outputs that are 16 apart: two cheap instructions make them floats. */
@@ -154,6 +171,7 @@ INLINE void NAME(attend)(float *out, const float *split, int width, int heads) {
 #define KIND(a) JOIN(NAME(a), brief)
 #include "products.h"
 #include "rollout.h"
+#include "encode.h"
 #undef WEIGHT
 #undef FINE
 #undef LOAD_FINE

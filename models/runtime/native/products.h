@@ -4,12 +4,10 @@
    memory in one direction. Inputs are padded to an even number by zeros. How the 64 stand within
    their row is a matter of the kind of weights: see PLACE_OF. */
 
-/* out (+)= x W for `rows` vectors at once; `bias` is added, NULL: to what is in `out`. */
-INLINE void KIND(multiply)(
+INLINE void KIND(multiply_rows)(
     const int rows, float *restrict out, int out_step, const float *restrict x, int x_step,
     const WEIGHT *restrict w, const float *restrict bias, int inputs, int outputs) {
-    enum { WIDE = LANES == 16 ? 4 : 2 };
-    const int vectors = rows == 1 ? 4 : WIDE;
+    const int vectors = rows == 1 || (LANES == 16 && rows <= ROWS) ? 4 : 2; /* as many sums as there are registers */
     for (int tile = 0; tile < outputs; tile += TILE, w += TILE * inputs) {
         for (int first = 0; first < TILE / LANES; first += vectors) {
             const WEIGHT *part = w + first * LANES;
@@ -49,6 +47,31 @@ INLINE void KIND(multiply)(
     }
 }
 
+/* A function of its own for each number of rows, so that the loops over them are laid out flat. */
+#define MULTIPLY(rows) \
+    static TARGET __attribute__((noinline)) void KIND(multiply_##rows)( \
+        float *out, int out_step, const float *x, int x_step, const WEIGHT *w, const float *bias, int inputs, \
+        int outputs) { \
+        KIND(multiply_rows)(rows, out, out_step, x, x_step, w, bias, inputs, outputs); \
+    }
+MULTIPLY(1)
+MULTIPLY(2)
+MULTIPLY(3)
+MULTIPLY(4)
+MULTIPLY(8)
+#undef MULTIPLY
+
+/* out (+)= x W for 1 to 4 or 8 vectors at once; `bias` is added, NULL: to what is in `out`. */
+INLINE void KIND(multiply)(
+    int rows, float *out, int out_step, const float *x, int x_step, const WEIGHT *w, const float *bias, int inputs,
+    int outputs) {
+    if (rows == 1) KIND(multiply_1)(out, out_step, x, x_step, w, bias, inputs, outputs);
+    if (rows == 2) KIND(multiply_2)(out, out_step, x, x_step, w, bias, inputs, outputs);
+    if (rows == 3) KIND(multiply_3)(out, out_step, x, x_step, w, bias, inputs, outputs);
+    if (rows == 4) KIND(multiply_4)(out, out_step, x, x_step, w, bias, inputs, outputs);
+    if (rows == 8) KIND(multiply_8)(out, out_step, x, x_step, w, bias, inputs, outputs);
+}
+
 /* Weights of a recurrent cell (GRU): gates reset, update, new, as torch orders them. */
 typedef struct {
     const WEIGHT *input, *hidden;
@@ -68,13 +91,5 @@ INLINE void KIND(step)(const int rows, const KIND(Cell) * cell, float *state, co
                    cell->bias_input, cell->inputs, size);
     KIND(multiply)(rows, kept[0], MAX_HIDDEN, state, MAX_HIDDEN, cell->hidden + 2 * size * size,
                    cell->bias_hidden, size, size);
-    for (int r = 0; r < rows; r++) {
-        for (int i = 0; i < size; i += LANES) {
-            const VEC reset = NAME(sigmoid)(LOAD(gates[r] + i));
-            const VEC update = NAME(sigmoid)(LOAD(gates[r] + size + i));
-            const VEC fresh = NAME(hyperbolic)(FMA(reset, LOAD(kept[r] + i), LOAD(given[r] + i)));
-            float *old = state + r * MAX_HIDDEN + i;
-            STORE(old, FMA(update, SUB(LOAD(old), fresh), fresh));
-        }
-    }
+    NAME(renew)(rows, size, state, gates[0], 2 * MAX_HIDDEN, given[0], MAX_HIDDEN, kept[0]);
 }

@@ -4,6 +4,7 @@
 
 #define TILE 64 /* outputs of a layer whose weights lie together */
 #define ROWS 4  /* windows that share a pass over shared weights */
+#define BLOCK 8 /* windows that the encoder takes at once */
 #define TOKENS 3
 #define MAX_OBSERVE 32
 #define MAX_JOINTS 32

@@ -16,7 +16,7 @@ from models.predictor import NetConfig, Predictor
 from models.rounding import round_matrices
 from models.runtime import fused
 from models.runtime.fused import PROCESSORS, PackedPerson, find_packed, forecast_fused
-from models.runtime.pack import KINDS, find_packed_kind, pack_decoder, pack_gate
+from models.runtime.pack import KINDS, Packed, find_packed_kind, pack_decoder, pack_gate
 from tests.nets import SMALL
 from tests.unit.models.conftest import believable_motion
 
@@ -80,6 +80,10 @@ PACKED = [
 ]
 
 
+ROUNDED = copy.deepcopy(NET)
+round_matrices(ROUNDED)
+
+
 def check(windows: np.ndarray, rows: list[int | None], processor: str) -> np.ndarray:
     base = find_packed(NET)
     assert base is not None
@@ -137,6 +141,18 @@ def test_nets_of_other_sizes_have_a_kernel_too(heads: int) -> None:
     assert np.abs(made - (net(given_) - given_[:, -1:]).numpy()).max() < 1e-5
 
 
+@pytest.mark.parametrize("processor", PROCESSORS)
+@pytest.mark.parametrize("net", [NET, ROUNDED], ids=["float32", "bfloat16"])
+@pytest.mark.parametrize("count", range(1, 10))
+def test_blocks_of_any_size_are_encoded_alike(net: Predictor, count: int, processor: str) -> None:
+    base = find_packed(net)
+    assert base is not None
+    assert base.encoder_kind == ("bfloat16" if net is ROUNDED else "float32")
+    made = forecast_fused(base, WINDOWS[:count], [None] * count, processor=processor).displacement
+    given_ = torch.from_numpy(WINDOWS[:count])
+    assert np.abs(made - (net(given_) - given_[:, -1:]).numpy()).max() < 1e-5
+
+
 def test_a_window_or_a_decoder_that_is_not_finite_harms_no_other_row() -> None:
     base = find_packed(NET)
     assert base is not None
@@ -184,12 +200,25 @@ def test_without_a_kernel_nothing_is_laid_out(monkeypatch: pytest.MonkeyPatch) -
         forecast_fused(base, WINDOWS, [None] * 9)
 
 
+def rename(packed: Packed, kind: str) -> Packed:
+    """Say that matrices are kept in another kind of numbers than they are."""
+    renamed = packed.copy()
+    renamed.view(np.int32)[1] = KINDS.index(kind) if kind in KINDS else len(KINDS)
+    return renamed
+
+
 def test_what_does_not_fit_is_refused_before_anything_is_read() -> None:
     base = find_packed(NET)
     assert base is not None
     cut = PackedPerson(PACKED[0].decoder[:-4], None)
     with pytest.raises(ValueError, match="decoder"):
         forecast_fused(base, WINDOWS[:1], [cut])
+    for encoder in (base.encoder[:-4], base.encoder[:32], base.encoder[64:]):
+        with pytest.raises(ValueError, match="encoder"):
+            forecast_fused(replace(base, encoder=encoder), WINDOWS[:1], [None])
+    for kind in ("bfloat16", "float16", "nothing"):
+        with pytest.raises(ValueError, match="encoder"):
+            forecast_fused(replace(base, encoder=rename(base.encoder, kind)), WINDOWS[:1], [None])
     with pytest.raises(ValueError, match="gate"):
         forecast_fused(base, WINDOWS[:1], [PackedPerson(PACKED[0].decoder, PACKED[0].decoder)])
     with pytest.raises(ValueError, match="size"):
