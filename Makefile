@@ -99,13 +99,13 @@ STUDY := OMP_NUM_THREADS=1 UTD_MHAD=$${UTD_MHAD:-$(SHARED)/utd-mhad} MORE_PEOPLE
 studies: $(VENV)/.test ## all studies, those that give most evidence first (about 4 h)
 	$(STUDY) all $(ARGS)
 
-study-bases: $(VENV)/.test ## train the bases of the studies (about 70 min)
+study-bases: $(VENV)/.test ## train the bases of the studies (about 2 h)
 	$(STUDY) bases $(ARGS)
 
-study-main: $(VENV)/.test ## the protocol of the paper, three seeds, trained on all or on 1, 3, 5, 7 (about 15 min)
+study-main: $(VENV)/.test ## the protocol of the paper and its peers, three seeds (about 75 min with its bases)
 	$(STUDY) main $(ARGS)
 
-study-everybody: $(VENV)/.test ## each of seven subjects, by each trial: is anybody worse off? (about 20 min)
+study-everybody: $(VENV)/.test ## each of seven subjects, by each trial: is anybody worse off? (about 30 min)
 	$(STUDY) everybody $(ARGS)
 
 study-unseen: $(VENV)/.test ## fitted to half of the actions, tested on the others (about 15 min)
@@ -114,13 +114,13 @@ study-unseen: $(VENV)/.test ## fitted to half of the actions, tested on the othe
 study-growth: $(VENV)/.test ## one, two and three trials (about 10 min)
 	$(STUDY) growth $(ARGS)
 
-study-wild: $(VENV)/.test ## new people, new collections, against zero velocity (about 15 min)
+study-wild: $(VENV)/.test ## new people, new collections, against zero velocity (about 20 min)
 	$(STUDY) wild $(ARGS)
 
-study-seconds: $(VENV)/.test ## errors by the seconds that a fit may take; on an idle machine (about 20 min)
+study-seconds: $(VENV)/.test ## errors by the seconds that a fit may take; on an idle machine (about 25 min)
 	$(STUDY) seconds $(ARGS)
 
-study-ablation: $(VENV)/.test ## what each part of net, objective and data brings (about 20 min, with its bases 70)
+study-ablation: $(VENV)/.test ## what each part of net, objective and data brings (about 55 min with its bases)
 	$(STUDY) ablation $(ARGS)
 
 picture: $(VENV)/.test ## draw docs/figures/demo.svg

@@ -19,7 +19,7 @@ from benchmarks.studies.ablations import (
     make_trainer,
     without_augmentation,
 )
-from benchmarks.studies.cache import RESULTS, Cache, Row, make_key
+from benchmarks.studies.cache import RESULTS, Cache, Row, locked, make_key
 from benchmarks.studies.peers import SIMLPE, train_simlpe_file
 from benchmarks.studies.recordings import (
     COLLECTIONS,
@@ -170,8 +170,9 @@ def train_base(recipe: Recipe, place: Place) -> Row:
     path, began = recipe.path(place), monotonic()
     path.parent.mkdir(parents=True, exist_ok=True)
     steps: list[int] = []
-    if not path.exists():
-        _train(recipe, place, path, lambda progress: steps.append(progress.step))
+    with locked(path.with_suffix(".lock")):
+        if not path.exists():  # nor did another process train it meanwhile
+            _train(recipe, place, path, lambda progress: steps.append(progress.step))
     blob = path.read_bytes()
     metadata = parse_blob(blob)[0]
     return {

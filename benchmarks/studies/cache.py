@@ -1,8 +1,11 @@
 """Rows of studies as JSON lines: written as soon as they are known, never computed twice."""
 
+import fcntl
 import hashlib
 import json
-from collections.abc import Mapping
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -43,19 +46,33 @@ class Cache:
         """Append a row, on a line of its own even after one that was cut short."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         line = json.dumps(row, separators=(",", ":"))
-        with self.path.open("a+b") as file:
+        with locked(self.path.parent), self.path.open("a+b") as file:
             file.seek(0, 2)
             torn = file.tell() > 0 and not _ends_line(file.tell(), self.path)
             file.write((("\n" if torn else "") + line + "\n").encode())
 
     def tidy(self) -> None:
         """Drop the rows of units that have a later one."""
+        if self.path.exists():
+            with locked(self.path.parent):
+                self._rewrite()
+
+    def _rewrite(self) -> None:
         lines = [json.dumps(row, separators=(",", ":")) for row in self.read().values()]
-        if not lines:
-            return
         draft = self.path.with_suffix(".part")
         draft.write_text("".join(f"{line}\n" for line in lines))
         draft.replace(self.path)
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Let other processes wait until the block ends; a folder, or a file that is made for it."""
+    handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_CREAT | os.O_RDWR, 0o644)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
 
 
 def _ends_line(size: int, path: Path) -> bool:

@@ -1,6 +1,7 @@
 import json
+import threading
 
-from benchmarks.studies.cache import Cache, make_key
+from benchmarks.studies.cache import Cache, locked, make_key
 
 
 def test_a_key_is_decided_by_everything_and_by_no_order():
@@ -32,6 +33,23 @@ def test_tidying_keeps_the_latest_row_of_each_unit(tmp_path):
     cache.tidy()
     lines = [json.loads(line) for line in cache.path.read_text().splitlines()]
     assert {line["unit"]: line["key"] for line in lines} == {"a": "new", "b": "other"}
+
+
+def test_processes_take_turns(tmp_path):
+    cache, began = Cache(tmp_path / "study.jsonl"), threading.Event()
+
+    def add():
+        began.set()
+        cache.add({"key": "x", "unit": "x"})
+
+    with locked(tmp_path):
+        thread = threading.Thread(target=add)
+        thread.start()
+        began.wait(10)
+        thread.join(0.2)
+        assert cache.read() == {}
+    thread.join(10)
+    assert set(cache.read()) == {"x"}
 
 
 def test_tidying_nothing_leaves_nothing(tmp_path):
