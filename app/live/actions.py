@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from msgspec import Struct
+
 from app.domain.errors import KinecastError
 from app.live.protocol import Bye, ErrorMessage, ServerMessage
 from app.live.steps import Step
@@ -31,15 +33,13 @@ class Identity:
     may_record: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Send:
+class Send(Struct, frozen=True):
     """Send a message; none of these may be lost."""
 
     message: ServerMessage
 
 
-@dataclass(frozen=True, slots=True)
-class Ticket:
+class Ticket(Struct, frozen=True):
     """A window on its way through the engine, and the frame that it came from.
 
     Attributes:
@@ -57,8 +57,7 @@ class Ticket:
     turn: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Submit:
+class Submit(Struct, frozen=True):
     """Have a window forecast; hand the ticket back with the result."""
 
     request: EngineRequest

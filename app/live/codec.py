@@ -7,6 +7,7 @@ the client is told.
 
 import json
 import math
+import sys
 from typing import Any
 
 import msgspec
@@ -32,6 +33,7 @@ from app.live.protocol import (
     Incoming,
     Observation,
     Rejected,
+    Seq,
     ServerMessage,
 )
 
@@ -44,6 +46,29 @@ class _Peek(Struct):
 
 
 _JointList = list[tuple[float, float, float] | None] | None
+
+
+class _BinaryFrame(Struct, tag_field="type", tag="frame", forbid_unknown_fields=True):
+    """A frame in msgpack, as nearly all messages are: `Frame` read in one go."""
+
+    seq: Seq
+    t: float
+    joints: bytes | None
+    confidence: bytes | None = None
+    replay: bool = False
+
+
+class _TextFrame(Struct, tag_field="type", tag="frame", forbid_unknown_fields=True):
+    """The same in JSON."""
+
+    seq: Seq
+    t: float
+    joints: _JointList
+    confidence: list[float] | None = None
+    replay: bool = False
+
+
+_FLOAT32 = np.dtype("<f4")
 _MISSING = (math.nan, math.nan, math.nan)
 _TYPES = frozenset(str(kind.__struct_config__.tag) for kind in INCOMING)
 
@@ -56,6 +81,7 @@ class Codec:
         self.is_binary = subprotocol == MSGPACK
         self._joints = joints
         wire: Any = msgspec.msgpack if self.is_binary else msgspec.json
+        self._frame = wire.Decoder(_BinaryFrame if self.is_binary else _TextFrame)
         self._message = wire.Decoder(Incoming)
         self._peek = wire.Decoder(_Peek)
         self._encoder = wire.Encoder(enc_hook=_to_bin if self.is_binary else _to_lists)
@@ -76,6 +102,19 @@ class Codec:
             return Rejected(BadMessageError(f"{self.subprotocol} has {kind} messages."))
         raw = data.encode() if isinstance(data, str) else data
         try:
+            frame = self._frame.decode(raw)
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+            return self._decode_other(raw)  # another message, or a frame with something wrong
+        try:
+            _check_time(frame.t)
+            pose, confidence = self._read_pose(frame.joints), _read_numbers(frame.confidence)
+        except KinecastError as error:
+            return Rejected(error, frame.seq)
+        return Observation(frame.seq, frame.t, pose, confidence, frame.replay)
+
+    def _decode_other(self, raw: bytes) -> ClientMessage:
+        """Read any message, arrays apart from the rest, so that errors can name their frame."""
+        try:
             message: Incoming = self._message.decode(raw)
         except msgspec.ValidationError as error:
             return self._explain(raw, str(error))
@@ -84,26 +123,20 @@ class Codec:
         if not isinstance(message, Frame):
             return message
         try:
-            return self._observe(message)
+            _check_time(message.t)
+            pose = self._read_pose(self._read(self._pose, message.joints, "joints"))
+            confidence = _read_numbers(self._read(self._numbers, message.confidence, "confidence"))
         except KinecastError as error:
             return Rejected(error, message.seq)
+        return Observation(message.seq, message.t, pose, confidence, message.replay)
 
-    def _observe(self, frame: Frame) -> Observation:
-        if not math.isfinite(frame.t):
-            raise BadFrameError("t must be a finite number of seconds.")
-        joints, confidence = self._read_pose(frame.joints), None
-        if memoryview(frame.confidence):
-            confidence = self._read_confidence(frame.confidence)
-        return Observation(frame.seq, frame.t, joints, confidence, frame.replay)
-
-    def _read_pose(self, raw: Raw) -> Float[np.ndarray, "joint 3"] | None:
-        given = self._read(self._pose, raw, "joints")
+    def _read_pose(self, given: bytes | _JointList) -> Float[np.ndarray, "joint 3"] | None:
         if given is None:
             return None
         if isinstance(given, bytes):
             if len(given) % 12:
                 raise BadFrameError(f"joints must have 12 bytes per joint, got {len(given)} bytes.")
-            pose = np.frombuffer(given, "<f4").reshape(-1, 3).astype(np.float64)
+            pose = np.frombuffer(given, _FLOAT32).astype(np.float64).reshape(-1, 3)
         else:
             rows = [_MISSING if joint is None else joint for joint in given]
             pose = np.array(rows, dtype=np.float64).reshape(-1, 3)
@@ -111,19 +144,9 @@ class Codec:
             raise WrongJointCountError(f"{self._joints} joints are expected, got {len(pose)}.")
         return pose
 
-    def _read_confidence(self, raw: Raw) -> Float[np.ndarray, " number"] | None:
-        given = self._read(self._numbers, raw, "confidence")
-        if given is None:
-            return None
-        if isinstance(given, bytes):
-            if len(given) % 4:
-                raise BadFrameError("confidence must have 4 bytes per joint.")
-            return np.frombuffer(given, "<f4").astype(np.float64)
-        return np.array(given, dtype=np.float64)
-
     def _read(self, decoder: Any, raw: Raw, name: str) -> Any:  # noqa: ANN401 - any of both formats
         try:
-            return decoder.decode(raw)
+            return decoder.decode(raw) if memoryview(raw) else None
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
             form = "little-endian float32 bytes" if self.is_binary else "lists of numbers"
             raise BadFrameError(f"{name} must be {form}: {error}.") from None
@@ -160,10 +183,27 @@ class Codec:
         )
 
 
+def _check_time(t: float) -> None:
+    if not math.isfinite(t):
+        raise BadFrameError("t must be a finite number of seconds.")
+
+
+def _read_numbers(given: bytes | list[float] | None) -> Float[np.ndarray, " number"] | None:
+    if given is None:
+        return None
+    if isinstance(given, bytes):
+        if len(given) % 4:
+            raise BadFrameError("confidence must have 4 bytes per joint.")
+        return np.frombuffer(given, _FLOAT32).astype(np.float64)
+    return np.array(given, dtype=np.float64)
+
+
 def _to_bin(value: object) -> object:
     """Give an array as its bytes; float32 and float64 are little-endian on every host."""
     if isinstance(value, np.ndarray):
-        return value.astype(value.dtype.newbyteorder("<"), copy=False).tobytes()
+        if sys.byteorder == "big":
+            value = value.astype(value.dtype.newbyteorder("<"))
+        return value.tobytes()
     raise TypeError(f"{type(value).__name__} cannot be sent")
 
 

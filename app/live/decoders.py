@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 import torch
 from jaxtyping import Float, Float32
+from msgspec import Struct
 from torch import Tensor
 
 from app.domain.body import BONES
@@ -32,8 +32,7 @@ class UnusableWeightsError(ValueError):
     """Personal weights that no decoder of this process can be built from."""
 
 
-@dataclass(frozen=True, slots=True)
-class Computed:
+class Computed(Struct, frozen=True):
     """What a net made of one window.
 
     Attributes:

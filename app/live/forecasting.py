@@ -3,11 +3,11 @@
 The stream and the single request both end here.
 """
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float, Float32, Float64
+from msgspec import Struct
 
 from app.domain.motion import Severity, Timing, VersionStamp, worst_severity
 from app.live.window import WindowReady
@@ -16,8 +16,7 @@ from models.skeleton import Skeleton, from_y_up
 from models.spec import MotionSpec
 
 
-@dataclass(frozen=True, slots=True)
-class Answer:
+class Answer(Struct, frozen=True):
     """One forecast as a client gets it.
 
     Attributes:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float64
 
 from app.domain import frames
 from app.domain.frames import (
@@ -13,10 +13,10 @@ from app.domain.frames import (
     STEP_MIN_S,
     check_confidence,
     check_joints,
-    is_within,
 )
 from app.live.guard import GuardRules
 from app.settings import Settings
+from models.runtime.fused import KERNEL
 
 __all__ = [
     "ENOUGH_STEPS",
@@ -79,3 +79,11 @@ class WindowRules:
 def check_times(t: Float[np.ndarray, " time"], count: int, rules: WindowRules) -> None:
     """Check the times of a whole array by these rules; raises as `app.domain.frames` does."""
     frames.check_times(t, count, step_min_s=rules.step_min_s, step_max_s=rules.step_max_s)
+
+
+def is_within(pose: Float64[np.ndarray, "joint 3"], limit: float) -> bool:
+    """Tell whether every coordinate is a number up to `limit`: by the kernel where there is one."""
+    if KERNEL is None:
+        return frames.is_within(pose, limit)
+    found: bool = KERNEL.is_within(pose, limit)
+    return found

@@ -7,16 +7,20 @@ from collections import deque
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float, Float32, Float64
 
 from app.domain.body import (
+    BODY_LINES,
+    CUE_LIMIT,
+    CUE_WEIGHTS,
     FACTS,
     GuardRules,
     is_stranger,
-    judge_body,
+    judge_sums,
     measure_body,
     measure_bones,
 )
+from models.runtime.fused import KERNEL
 from models.runtime.resample import find_fastest
 from models.skeleton import HIP_CENTER
 
@@ -25,10 +29,10 @@ __all__ = [
     "GuardRules",
     "Likeness",
     "is_possible",
-    "judge_body",
-    "measure_body",
+    "judge_sums",
     "measure_fastest",
     "moves_impossibly",
+    "note_body",
 ]
 MEASURE_EVERY_S = 0.25
 IDLE_EVERY_S = 1.0
@@ -96,6 +100,17 @@ class Likeness:
         seen_s = self._seen[-1][0] - self._seen[0][0] + self._rules.stranger_s
         long = seen_s >= self._rules.stranger_long_s - 1.5 * MEASURE_EVERY_S
         return is_stranger(seconds, known, rules=self._rules, long=long)
+
+
+def note_body(
+    pose: Float[np.ndarray, "20 3"], facts: Float64[np.ndarray, "frames 4"], row: int
+) -> None:
+    """Fill a row with what `measure_body` gives: by the kernel where there is one."""
+    if KERNEL is None:
+        facts[row] = measure_body(pose)
+        return
+    given = np.ascontiguousarray(pose, np.float64)
+    KERNEL.measure_body(given, BODY_LINES, CUE_WEIGHTS, CUE_LIMIT, facts, row)
 
 
 def moves_impossibly(

@@ -4,10 +4,11 @@ import math
 from collections import deque
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Float64
 
 from app.live import guard
 from app.live.frames import SNAP_S, WindowRules
+from models.runtime.resample import Survey, survey
 from models.skeleton import HIP_CENTER, Skeleton, to_y_up
 
 CAPACITY = 160
@@ -60,58 +61,94 @@ class History:
         return self._poses[self._start : self._end]
 
     @property
-    def facts(self) -> Float[np.ndarray, "frames 4"]:
-        """What the guard measured of each frame."""
-        return self._facts[self._start : self._end]
+    def newest(self) -> Float64[np.ndarray, "joint 3"]:
+        """The newest pose, missing joints filled."""
+        return np.asarray(self._poses[self._end - 1])
+
+    @property
+    def newest_t(self) -> float:
+        """Its time."""
+        return float(self._times[self._end - 1])
 
     @property
     def span_s(self) -> float:
         """Time from the oldest to the newest frame."""
-        return float(self.times[-1] - self.times[0]) if len(self) else 0.0
+        if self._start == self._end:
+            return 0.0
+        return float(self._times[self._end - 1] - self._times[self._start])
 
-    def to_net(self, poses: Float[np.ndarray, "time joint 3"]) -> Float[np.ndarray, "time 20 3"]:
+    def survey(self, grid: Float64[np.ndarray, " points"], *, recent_s: float) -> Survey:
+        """Put the poses on a grid of times before the newest, and sum up the guard's facts."""
+        part = (self._start, self._end)
+        return survey(
+            self._times, self._poses, self._facts, part, grid, snap_s=SNAP_S, recent_s=recent_s
+        )
+
+    def to_net(self, poses: Float[np.ndarray, "*time joint 3"]) -> Float[np.ndarray, "*time 20 3"]:
         """Bring poses of the user into the net's skeleton, y up."""
         upright = poses if self._up == "y" else to_y_up(poses, self._up)
         return upright if self._skeleton.is_net else np.asarray(self._skeleton.to_net @ upright)
 
     def add(
-        self, t: float, joints: Float[np.ndarray, "joint 3"], known: Bool[np.ndarray, " joint"]
+        self,
+        t: float,
+        joints: Float64[np.ndarray, "joint 3"],
+        known: Bool[np.ndarray, " joint"] | None,
     ) -> bool:
         """Append a frame of which at least one joint is known.
+
+        Args:
+            t: seconds.
+            joints: metres.
+            known: which joints are known, None for all.
 
         Returns:
             Whether the hips are back after so long that everything before was forgotten.
         """
-        is_whole = bool(known.all())
-        has_root = is_whole or bool(known[self._of_root].all())
+        has_root = known is None or bool(known[self._of_root].all())
         too_long = t - self._root_t > self._rules.gap_s + SNAP_S
-        forgotten = has_root and too_long and len(self) > 0
+        forgotten = has_root and too_long and self._end > self._start
         if forgotten:
             self.clear()
         if has_root:
             self._root_t = t
+        if known is None and self._is_whole:  # as nearly always
+            self.lost = False
+            self._append(t, joints)
+        else:
+            self._add_mended(t, joints, np.ones(len(joints), bool) if known is None else known)
+        return forgotten
+
+    def _add_mended(
+        self, t: float, joints: Float64[np.ndarray, "joint 3"], known: Bool[np.ndarray, " joint"]
+    ) -> None:
+        """Append a frame where joints are missing, or are back."""
+        self._catch_up()
+        is_whole, has_root = bool(known.all()), bool(known[self._of_root].all())
         hidden = t - self._root_t > self._rules.missing_max_s + SNAP_S
         self.lost = not is_whole and (hidden or 2 * int(np.count_nonzero(known)) < len(known))
         self._append(t, joints if is_whole else self._fill(joints, known, has_root=has_root))
-        if not (is_whole and self._is_whole):
-            self._mend(t, known)
-            self._whole_since = math.inf if not is_whole else t
+        self._mend(t, known)
+        self._whole_since = math.inf if not is_whole else t
         self._is_whole = is_whole
-        pose = self._poses[self._end - 1]
-        if is_whole:
-            np.subtract(pose, self._root @ pose, out=self._offsets)
-            self._seen_t.fill(t)
-            return forgotten
         if has_root:
+            pose = self._poses[self._end - 1]
             self._offsets[known] = pose[known] - self._root @ pose
         self._seen_t[known] = t
-        return forgotten
+
+    def _catch_up(self) -> None:
+        """Note of the newest frame, if it is whole, what nobody needs before a joint is missing."""
+        if self._is_whole and self._end > self._start:
+            pose = self._poses[self._end - 1]
+            np.subtract(pose, self._root @ pose, out=self._offsets)
+            self._seen_t.fill(self._times[self._end - 1])
 
     def list_filled(self, *, since_s: float) -> tuple[str, ...]:
         """Name the joints that were missing for too long in the last `since_s` seconds."""
         newest, oldest = self.times[-1], self.times[0]
         if newest - self._whole_since > since_s:
             return ()
+        self._catch_up()
         absent = newest - np.maximum(self._seen_t, oldest)
         missing = (absent > self._rules.missing_max_s + SNAP_S) | np.isinf(self._seen_t)
         mended = self._mended_t > newest - since_s
@@ -124,7 +161,7 @@ class History:
                 array[:kept] = array[self._start : self._end]
             self._start, self._end = 0, kept
         self._times[self._end], self._poses[self._end] = t, pose
-        self._facts[self._end] = guard.measure_body(self.to_net(pose[None])[0])
+        guard.note_body(self.to_net(pose), self._facts, self._end)
         self._end += 1
         self._start = max(self._start, self._end - CAPACITY)
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import structlog
 from jaxtyping import Float32
+from msgspec import Struct
 
 from app.domain.motion import Fallback, VersionKind, VersionStamp
 from app.live.decoders import Computed, Decoders, Outcome
@@ -28,8 +29,7 @@ LOG_EVERY_S = 10.0
 log = structlog.get_logger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class Landing:
+class Landing(Struct, frozen=True):
     """What answered a window.
 
     Attributes:

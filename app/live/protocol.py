@@ -116,8 +116,7 @@ Recording = TrialStart | ClipStart | ClipStop | TrialStop | TrialCancel | TrialR
 Incoming = Auth | Frame | Configure | Reset | Ping | ClientPong | Recording
 
 
-@dataclass(frozen=True, slots=True)
-class Observation:
+class Observation(Struct, frozen=True):
     """A decoded frame.
 
     Attributes:

@@ -4,7 +4,6 @@ Messages and `now` go in, actions come out; the route carries them out. Every fr
 a forecast, counted in `skipped` or `not_due`, or covered by a `waiting` or an `error`.
 """
 
-import dataclasses
 from collections.abc import Callable
 
 import numpy as np
@@ -332,7 +331,7 @@ class Session:
         """
         if not self._ledger.is_newest(ticket.seq):
             return []
-        return [self._submit(dataclasses.replace(ticket, turn=self.weights.turn))]
+        return [self._submit(replace(ticket, turn=self.weights.turn))]
 
     def _submit(self, ticket: Ticket) -> Submit:
         wanted = self.settings

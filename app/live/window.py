@@ -12,7 +12,8 @@ from statistics import median
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Float64
+from msgspec import Struct
 
 from app.domain.errors import (
     BadFrameError,
@@ -34,7 +35,7 @@ from app.live.frames import (
 )
 from app.live.history import History
 from app.live.sightings import Sightings
-from models.runtime.resample import resample
+from models.runtime.resample import Survey
 from models.skeleton import Skeleton
 from models.spec import MotionSpec
 
@@ -44,8 +45,7 @@ WaitReason = Literal["warm_up", "gap", "clock_restart", "person_lost", "overload
 _STEPS = 9
 
 
-@dataclass(frozen=True, slots=True)
-class WindowReady:
+class WindowReady(Struct, frozen=True):
     """A complete window.
 
     Attributes:
@@ -136,18 +136,19 @@ class FrameBuffer:
         Raises:
             BadFrameError: and its kinds; the frame is then as if it had never come.
         """
-        known = self._check(t, joints, confidence)
+        pose = None if joints is None else np.ascontiguousarray(joints, np.float64)
+        known = self._check(t, pose, confidence)
         restart = self._advance(t)
-        if joints is None or not known.any():
+        if pose is None or not (known is None or known.any()):
             self._history.lost = True
             return restart
-        raw = joints.tobytes()
+        raw = pose.tobytes()
         self._identical = self._identical + 1 if raw == self._raw else 1
         self._raw = raw
         self._unsure = confidence is not None and bool(
             (confidence < self.rules.unsure_below).mean() >= self.rules.unsure_share
         )
-        if self._history.add(t, joints, known):
+        if self._history.add(t, pose, known):
             self._reason = "person_lost"
         return restart
 
@@ -160,17 +161,17 @@ class FrameBuffer:
         history, need_s = self._history, self.rules.complete_s
         if history.lost:
             return Waiting("person_lost", history.span_s, need_s)
-        if history.span_s < need_s - SNAP_S:
-            return Waiting(self._reason, history.span_s, need_s)
-        times, poses = history.times, history.poses
-        resampled, longest_s = resample(times, poses, self._grid, snap_s=SNAP_S)
-        window = history.to_net(resampled)
+        span_s = history.span_s
+        if span_s < need_s - SNAP_S:
+            return Waiting(self._reason, span_s, need_s)
+        seen = history.survey(self._grid, recent_s=self.rules.guard.upside_down_s)
+        window = history.to_net(seen.poses)
         filled = history.list_filled(since_s=self._span_s)
-        flags = self._list_flags(window, longest_s, filled=bool(filled), whole=whole)
+        flags = self._list_flags(window, seen, filled=bool(filled), whole=whole)
         return WindowReady(
             window=window,
-            last_joints=poses[-1].copy(),
-            t=float(times[-1]),
+            last_joints=history.newest.copy(),
+            t=history.newest_t,
             flags=flags,
             filled=filled,
         )
@@ -178,26 +179,30 @@ class FrameBuffer:
     def _check(
         self,
         t: float,
-        joints: Float[np.ndarray, "joint 3"] | None,
+        pose: Float64[np.ndarray, "joint 3"] | None,
         confidence: Float[np.ndarray, " number"] | None,
-    ) -> Bool[np.ndarray, " known"]:
-        """Refuse a frame before it has changed anything; tell which joints it knows."""
+    ) -> Bool[np.ndarray, " known"] | None:
+        """Refuse a frame before it has changed anything.
+
+        Returns:
+            Which joints it knows; None for all, and for a frame without the person.
+        """
         if not math.isfinite(t):
             raise BadFrameError("t must be a finite number of seconds.")
         if self._last_t is not None and -self.rules.restart_s <= t - self._last_t <= 0:
             raise TimeNotIncreasingError(f"t must be above {self._last_t!r}, got {t!r}.")
         if confidence is not None:
             check_confidence(confidence, self._joints)
-        if joints is None:
-            return np.zeros(self._joints, dtype=bool)
-        limit = self.rules.coordinate_max_m
-        known = np.ones(self._joints, dtype=bool)
-        if len(joints) != self._joints or not is_within(joints, limit):
-            check_joints(joints, self._joints, coordinate_max_m=limit)
-            known = ~np.isnan(joints).any(axis=1)
+        if pose is None:
+            return None
+        limit, known = self.rules.coordinate_max_m, None
+        if len(pose) != self._joints or not is_within(pose, limit):
+            check_joints(pose, self._joints, coordinate_max_m=limit)
+            known = ~np.isnan(pose).any(axis=1)
         if confidence is not None:
-            known &= confidence >= self.rules.confidence_min
-        return known
+            sure = confidence >= self.rules.confidence_min
+            known = sure if known is None else known & sure
+        return None if known is None or known.all() else known
 
     def _advance(self, t: float) -> Restart | None:
         """Move the clock on; forget what lies before a restart or a gap."""
@@ -220,28 +225,23 @@ class FrameBuffer:
         return self._history.to_net(self._history.poses[first:])
 
     def _list_flags(
-        self,
-        window: Float[np.ndarray, "15 20 3"],
-        longest_s: float,
-        *,
-        filled: bool,
-        whole: bool,
+        self, window: Float[np.ndarray, "15 20 3"], seen: Survey, *, filled: bool, whole: bool
     ) -> tuple[str, ...]:
-        rules, times = self.rules.guard, self._history.times
+        history, rules, rate_hz = self._history, self.rules.guard, self.spec.rate_hz
         flags = {
             "filled_joints": filled,
             "low_confidence": self._unsure,
-            "gap": longest_s > self.rules.neighbour_max_s + SNAP_S,
+            "gap": seen.longest_s > self.rules.neighbour_max_s + SNAP_S,
             "frozen_input": self._identical >= rules.frozen_poses,
-            "implausible_pose": guard.moves_impossibly(
-                window, rate_hz=self.spec.rate_hz, rules=rules
-            ),
+            "implausible_pose": guard.moves_impossibly(window, rate_hz=rate_hz, rules=rules),
             "root_relative": self._root_relative,
-            "not_this_person": self.likeness.look(times, self._give_poses),
+            "not_this_person": self.likeness.look(history.times, self._give_poses),
         }
-        body = guard.judge_body(self._history.facts, times, rules=rules, whole=whole)
+        # a frame before the second began shows that all of it was seen
+        seen_enough = whole or seen.earlier > 0 or history.span_s >= rules.upside_down_s
+        body = guard.judge_sums(seen.means, seen.tops, rules=rules, seen_enough=seen_enough)
         found = tuple(dict.fromkeys([*(flag for flag in flags if flags[flag]), *body]))
-        if self.likeness.bones is not None and self.likeness.measured_t == times[-1]:
+        if self.likeness.bones is not None and self.likeness.measured_t == history.newest_t:
             self.sightings.note(self.likeness.measured_t, self.likeness.bones, found)
         return found
 

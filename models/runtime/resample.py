@@ -3,36 +3,62 @@
 By the kernel in `native/` where it was built, else by numpy: the same numbers.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float64
 
 from models.runtime.fused import KERNEL
 
 
-def resample(
-    times: Float64[np.ndarray, " frames"],
-    poses: Float64[np.ndarray, "frames joint 3"],
+class Survey(NamedTuple):
+    """What there is to know of some frames.
+
+    Attributes:
+        poses: on the grid; metres, in any frame of reference.
+        longest_s: the longest step of time between the frames that the grid spans.
+        earlier: how many frames are older than the recent ones.
+        means, tops: of each fact over the recent frames: the mean and the greatest.
+    """
+
+    poses: Float64[np.ndarray, "points joint 3"]
+    longest_s: float
+    earlier: int
+    means: tuple[float, ...]
+    tops: tuple[float, ...]
+
+
+def survey(
+    times: Float64[np.ndarray, " rows"],
+    poses: Float64[np.ndarray, "rows joint 3"],
+    facts: Float64[np.ndarray, "rows fact"],
+    part: tuple[int, int],
     grid: Float64[np.ndarray, " points"],
     *,
     snap_s: float,
-) -> tuple[Float64[np.ndarray, "points joint 3"], float]:
-    """Put poses on a grid, by lines between neighbours.
+    recent_s: float,
+) -> Survey:
+    """Put poses on a grid, by lines between neighbours, and sum up what was measured of them.
 
     Args:
-        times: strictly increasing, seconds.
+        times: strictly increasing in that part, seconds.
         poses: metres, in any frame of reference.
+        facts: what was measured of each pose.
+        part: the first row that counts, and the one behind the last. The arrays are contiguous.
         grid: seconds from the newest frame on, increasing and at most 0. A point before the oldest
             frame holds that one's pose.
         snap_s: a point this close to a frame is that frame.
-
-    Returns:
-        The poses, and the longest step of time between the frames that the grid spans (seconds).
+        recent_s: frames up to this much older than the newest are recent.
     """
+    start, end = part
     if KERNEL is None:
-        return _resample_by_numpy(times, poses, grid, snap_s)
+        rows = slice(start, end)
+        return _survey_by_numpy(times[rows], poses[rows], facts[rows], grid, snap_s, recent_s)
     out = np.empty((len(grid), *poses.shape[1:]))
-    given = [np.ascontiguousarray(part, np.float64) for part in (times, poses, grid)]
-    return out, KERNEL.resample(*given, snap_s, out)
+    longest_s, earlier, (means, tops) = KERNEL.survey(
+        times, poses, facts, start, end, grid, snap_s, recent_s, out
+    )
+    return Survey(out, longest_s, earlier, means, tops)
 
 
 def find_fastest(poses: Float64[np.ndarray, "time joint 3"], *, root: int) -> tuple[float, float]:
@@ -57,7 +83,21 @@ def find_fastest(poses: Float64[np.ndarray, "time joint 3"], *, root: int) -> tu
     return float(squared.max()), float(squared[:, root].max())
 
 
-def _resample_by_numpy(
+def _survey_by_numpy(
+    times: Float64[np.ndarray, " frames"],
+    poses: Float64[np.ndarray, "frames joint 3"],
+    facts: Float64[np.ndarray, "frames fact"],
+    grid: Float64[np.ndarray, " points"],
+    snap_s: float,
+    recent_s: float,
+) -> Survey:
+    earlier = int(np.searchsorted(times, times[-1] - recent_s))
+    recent = facts[earlier:]
+    means, tops = tuple(recent.mean(axis=0).tolist()), tuple(recent.max(axis=0).tolist())
+    return Survey(*_resample(times, poses, grid, snap_s), earlier, means, tops)
+
+
+def _resample(
     times: Float64[np.ndarray, " frames"],
     poses: Float64[np.ndarray, "frames joint 3"],
     grid: Float64[np.ndarray, " points"],

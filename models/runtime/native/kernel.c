@@ -24,6 +24,7 @@
 #include "layers.h"
 
 #include "window.h"
+#include "body.h"
 
 #define HEADER 64
 #define MAGIC 0x4b494e45
@@ -381,8 +382,10 @@ static PyObject *probe(PyObject *module, PyObject *args) {
 static PyMethodDef METHODS[] = {{"forecast", forecast, METH_VARARGS, forecast_doc},
                                 {"check", check, METH_VARARGS, check_doc},
                                 {"probe", probe, METH_VARARGS, probe_doc},
-                                {"resample", resample, METH_VARARGS, resample_doc},
+                                {"survey", survey, METH_VARARGS, survey_doc},
                                 {"find_fastest", find_fastest, METH_VARARGS, fastest_doc},
+                                {"measure_body", measure_body, METH_VARARGS, measure_doc},
+                                {"is_within", is_within, METH_VARARGS, within_doc},
                                 {NULL, NULL, 0, NULL}};
 static struct PyModuleDef MODULE = {
     PyModuleDef_HEAD_INIT, "_kernel", "Forecasts in the processor's cache; see pack.py and fused.py.", -1, METHODS,

@@ -29,24 +29,53 @@ static double resample_frames(
     return longest;
 }
 
-PyDoc_STRVAR(resample_doc,
-    "resample(times, poses, grid, snap, out)\n--\n\n"
-    "Put poses on a grid of times, which are given from the newest on; all are float64. `out` is filled.\n"
-    "Gives the longest step of time between the frames that the window spans.");
+/* Of each column of the rows from `first` on: the mean and the greatest. */
+static PyObject *sum_up(const double *facts, int first, int end, int width) {
+    PyObject *means = PyTuple_New(width), *tops = PyTuple_New(width);
+    for (int k = 0; means && tops && k < width; k++) {
+        double sum = 0.0, top = -INFINITY;
+        for (int i = first; i < end; i++) {
+            const double value = facts[(size_t)i * width + k];
+            sum += value;
+            if (value > top) top = value;
+        }
+        PyTuple_SET_ITEM(means, k, PyFloat_FromDouble(sum / (end - first)));
+        PyTuple_SET_ITEM(tops, k, PyFloat_FromDouble(top));
+    }
+    return Py_BuildValue("NN", means, tops);
+}
 
-static PyObject *resample(PyObject *module, PyObject *args) {
+PyDoc_STRVAR(survey_doc,
+    "survey(times, poses, facts, start, end, grid, snap, recent, out)\n--\n\n"
+    "Put the poses from `start` up to `end` on a grid of times, which are given from the newest on, and\n"
+    "sum up the facts of those frames that are at most `recent` older than the newest. times: [n]; poses:\n"
+    "[n, ...]; facts: [n, facts]; grid: [points]; out: [points, ...], is filled; all are float64.\n"
+    "Gives the longest step of time between the frames that the window spans, how many frames are older\n"
+    "than `recent`, and of each fact the mean and the greatest.");
+
+static PyObject *survey(PyObject *module, PyObject *args) {
     (void)module;
-    Py_buffer times, poses, grid, out;
-    double snap, longest = 0.0;
-    if (!PyArg_ParseTuple(args, "y*y*y*dw*", &times, &poses, &grid, &snap, &out)) return NULL;
-    const Py_ssize_t frames = times.len / sizeof(double), points = grid.len / sizeof(double);
-    const Py_ssize_t width = frames ? poses.len / (Py_ssize_t)sizeof(double) / frames : 0;
-    const int fits = width > 0 && points > 0 && poses.len == frames * width * (Py_ssize_t)sizeof(double) &&
-                     out.len == points * width * (Py_ssize_t)sizeof(double);
-    if (fits) longest = resample_frames(times.buf, poses.buf, (int)frames, (int)width, grid.buf, (int)points, snap, out.buf);
-    else PyErr_SetString(PyExc_ValueError, "arrays of sizes that do not fit each other");
-    PyBuffer_Release(&times), PyBuffer_Release(&poses), PyBuffer_Release(&grid), PyBuffer_Release(&out);
-    return fits ? PyFloat_FromDouble(longest) : NULL;
+    Py_buffer times, poses, facts, grid, out;
+    double snap, recent;
+    int start, end;
+    if (!PyArg_ParseTuple(args, "y*y*y*iiy*ddw*", &times, &poses, &facts, &start, &end, &grid, &snap, &recent, &out))
+        return NULL;
+    const Py_ssize_t number = sizeof(double), frames = times.len / number, points = grid.len / number;
+    const Py_ssize_t width = frames ? poses.len / number / frames : 0, columns = frames ? facts.len / number / frames : 0;
+    PyObject *found = NULL;
+    if (width > 0 && points > 0 && poses.len == frames * width * number && facts.len == frames * columns * number &&
+        out.len == points * width * number && 0 <= start && start < end && end <= frames) {
+        const double *at = times.buf;
+        const double longest = resample_frames(
+            at + start, (double *)poses.buf + start * width, end - start, (int)width, grid.buf, (int)points, snap, out.buf);
+        int first = start;
+        while (first < end - 1 && at[first] < at[end - 1] - recent) first++;
+        PyObject *sums = sum_up(facts.buf, first, end, (int)columns);
+        if (sums) found = Py_BuildValue("diN", longest, first - start, sums);
+    } else PyErr_SetString(PyExc_ValueError, "arrays of sizes that do not fit each other");
+    PyBuffer_Release(&times), PyBuffer_Release(&poses), PyBuffer_Release(&facts);
+    PyBuffer_Release(&grid), PyBuffer_Release(&out);
+    return found;
 }
 
 PyDoc_STRVAR(fastest_doc,

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from models.runtime import resample as module
 from models.runtime.fused import KERNEL
-from models.runtime.resample import find_fastest, resample
+from models.runtime.resample import Survey, find_fastest, survey
 
 GRID = -np.arange(14, -1, -1) / 30
 needs_kernel = pytest.mark.skipif(KERNEL is None, reason="no kernel was built for this processor")
@@ -23,14 +23,27 @@ def make(steps: list[float]) -> tuple[np.ndarray, np.ndarray]:
     return times, np.random.default_rng(len(steps)).normal(size=(len(times), 4, 3))
 
 
+def look(times: np.ndarray, poses: np.ndarray, *, start: int = 0) -> Survey:
+    facts = np.cumsum(poses[:, :2, 0], axis=0)
+    return survey(times, poses, facts, (start, len(times)), GRID, snap_s=1e-6, recent_s=1.0)
+
+
 @needs_kernel
-@given(STEPS)
-def test_both_ways_give_the_same_numbers(steps: list[float]) -> None:
+@given(STEPS, st.integers(0, 60))
+def test_both_ways_give_the_same_numbers(steps: list[float], start: int) -> None:
     times, poses = make(steps)
-    poses_there, longest = resample(times, poses, GRID, snap_s=1e-6)
-    expected, longest_there = module._resample_by_numpy(times, poses, GRID, 1e-6)
-    np.testing.assert_allclose(poses_there, expected, rtol=0, atol=1e-9)
-    assert longest == longest_there
+    start = min(start, len(steps))
+    found = look(times, poses, start=start)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "KERNEL", None)
+        expected = look(times, poses, start=start)
+    np.testing.assert_allclose(found.poses, expected.poses, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.means, expected.means, rtol=0, atol=1e-12)
+    assert (found.longest_s, found.earlier, found.tops) == (
+        expected.longest_s,
+        expected.earlier,
+        expected.tops,
+    )
 
 
 @pytest.mark.parametrize("kernel", [KERNEL, None])
@@ -39,9 +52,9 @@ def test_frames_at_the_rate_of_the_grid_are_taken_as_they_are(
 ) -> None:
     monkeypatch.setattr(module, "KERNEL", kernel)
     times, poses = make([1 / 30] * 20)
-    there, longest = resample(times, poses, GRID, snap_s=1e-6)
-    np.testing.assert_array_equal(there, poses[-15:])
-    assert longest == pytest.approx(1 / 30, abs=1e-6)
+    found = look(times, poses)
+    np.testing.assert_array_equal(found.poses, poses[-15:])
+    assert found.longest_s == pytest.approx(1 / 30, abs=1e-6)
 
 
 @pytest.mark.parametrize("kernel", [KERNEL, None])
@@ -49,10 +62,18 @@ def test_the_longest_step_is_one_that_the_window_spans(
     kernel: object, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "KERNEL", kernel)
-    times, poses = make([0.45] + [1 / 30] * 15)
-    assert resample(times, poses, GRID, snap_s=1e-6)[1] < 0.04
-    times, poses = make([1 / 30] * 5 + [0.45] + [1 / 30] * 10)
-    assert resample(times, poses, GRID, snap_s=1e-6)[1] == pytest.approx(0.45, abs=1e-6)
+    assert look(*make([0.45] + [1 / 30] * 15)).longest_s < 0.04
+    spanned = look(*make([1 / 30] * 5 + [0.45] + [1 / 30] * 10))
+    assert spanned.longest_s == pytest.approx(0.45, abs=1e-6)
+
+
+@pytest.mark.parametrize("kernel", [KERNEL, None])
+def test_the_last_second_is_summed_up(kernel: object, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "KERNEL", kernel)
+    times, facts = np.arange(41) / 20, np.stack([np.arange(41.0), -np.arange(41.0)], axis=1)
+    poses = np.zeros((41, 1, 3))
+    found = survey(times, poses, facts, (5, 40), GRID, snap_s=1e-6, recent_s=1.0)
+    assert found[2:] == (14, (29.0, -29.0), (39.0, -19.0))
 
 
 @pytest.mark.parametrize("kernel", [KERNEL, None])
@@ -79,8 +100,15 @@ def test_the_fastest_step_is_found(
 @needs_kernel
 def test_sizes_that_do_not_fit_are_refused() -> None:
     times, poses = make([1 / 30] * 3)
+    facts, out = np.zeros((4, 2)), np.empty((15, 4, 3))
     assert KERNEL is not None
-    with pytest.raises(ValueError, match="do not fit"):
-        KERNEL.resample(times[:-1], poses, GRID, 1e-6, np.empty((15, 4, 3)))
-    with pytest.raises(ValueError, match="do not fit"):
-        KERNEL.resample(times, poses, GRID, 1e-6, np.empty((14, 4, 3)))
+    for wrong in (
+        (times[:-1], poses, facts, 0, 3, GRID, 1e-6, 1.0, out),
+        (times, poses, facts, 0, 4, GRID, 1e-6, 1.0, out[:-1]),
+        (times, poses, facts[:-1], 0, 4, GRID, 1e-6, 1.0, out),
+        (times, poses, facts, 0, 5, GRID, 1e-6, 1.0, out),
+        (times, poses, facts, -1, 4, GRID, 1e-6, 1.0, out),
+        (times, poses, facts, 4, 4, GRID, 1e-6, 1.0, out),
+    ):
+        with pytest.raises(ValueError, match="do not fit"):
+            KERNEL.survey(*wrong)
