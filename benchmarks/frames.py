@@ -8,7 +8,8 @@ so that they push everything else out of the cache as they do in a service, but 
     python -m benchmarks.frames --against ../other-checkout
 
 With `--against` both are measured in turns, each time in a process of its own: the machine's speed
-varies by more than what is to be seen.
+varies by more than what is to be seen. `--bare` leaves the nets out, so that nothing else is in the
+cache.
 """
 
 import argparse
@@ -100,6 +101,12 @@ class Meter:
         self.ns += time.thread_time_ns() - begin
 
 
+def _stand_still(*arguments: Any) -> None:  # noqa: ANN401 - the kernel's
+    """Forecast in no time that nobody moves."""
+    for made, value in zip(arguments[-3:], (0.0, 1.0, 0.0), strict=True):
+        made.fill(value)
+
+
 class Person:
     """One stream: the frames of a synthetic person, and the service's end of their connection."""
 
@@ -179,7 +186,9 @@ def _choose(base: Checkpoint, streams: int) -> list[Choice]:
     return choices
 
 
-async def measure(*, streams: int, batch: int, ticks: int, form: str) -> dict[str, float]:
+async def measure(
+    *, streams: int, batch: int, ticks: int, form: str, bare: bool
+) -> dict[str, float]:
     """Give the median of each part, microseconds per frame."""
     base = load_checkpoint(SHIPPED)
     decoders = Decoders(base.predictor, base_sha256=base.sha256, radius=base.radius)
@@ -194,7 +203,7 @@ async def measure(*, streams: int, batch: int, ticks: int, form: str) -> dict[st
         person.open()
     await asyncio.sleep(0.2)
     assert KERNEL is not None, "there is no kernel"
-    meter = Meter(KERNEL.forecast)
+    meter = Meter(_stand_still if bare else KERNEL.forecast)
     cast("Any", KERNEL).forecast = meter
     rows = [await _tick(people, engine, meter, frame=frame, batch=batch) for frame in range(count)]
     assert all(b"frames" in person.outgoing.last for person in people), "not everybody was answered"
@@ -242,7 +251,7 @@ def compare(folders: Sequence[Path], arguments: argparse.Namespace) -> list[dict
 
 def _measure_apart(folder: Path, arguments: argparse.Namespace) -> dict[str, float]:
     options = {name: getattr(arguments, name) for name in ("streams", "batch", "ticks", "form")}
-    command = [sys.executable, "-P", __file__, "--once"]
+    command = [sys.executable, "-P", __file__, "--once", *(["--bare"] if arguments.bare else [])]
     command += [word for name, value in options.items() for word in (f"--{name}", str(value))]
     environment = {**os.environ, "PYTHONPATH": str(folder), "OMP_NUM_THREADS": "1"}
     run = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True)
@@ -257,12 +266,14 @@ def main() -> None:
     parser.add_argument("--ticks", type=int, default=60, help="frames of each stream")
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--form", choices=(MSGPACK, JSON), default=MSGPACK)
+    parser.add_argument("--bare", action="store_true", help="without the nets")
     parser.add_argument("--against", type=Path, help="another checkout, with its kernel built")
     parser.add_argument("--once", action="store_true", help="one measurement, as JSON")
     arguments = parser.parse_args()
     if arguments.once:
         logging.disable()
-        options = {name: getattr(arguments, name) for name in ("streams", "batch", "ticks", "form")}
+        names = ("streams", "batch", "ticks", "form", "bare")
+        options = {name: getattr(arguments, name) for name in names}
         print(json.dumps(uvloop.run(measure(**options))))
         return
     folders = [Path(__file__).parent.parent.resolve()]

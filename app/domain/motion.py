@@ -84,6 +84,8 @@ class VersionStamp:
 
     def with_share(self, share: float) -> "VersionStamp":
         """Give the same weights with another share; for every forecast, so quick."""
+        if share == self.share:
+            return self
         return VersionStamp(
             self.number, self.kind, self.sha256, self.requested, share, self.fallback
         )

@@ -70,7 +70,7 @@ class Decoders:
         self.breaker = Breaker()
         self._base, self._table = base, radius
         self._other_bases: dict[str, Checkpoint] = {}
-        self._look_up = lru_cache(maxsize=64)(self._compute_radius)
+        self._look_up = lru_cache(maxsize=1024)(self._compute_radius)
 
     def resolve(self, requested: RequestedVersion) -> VersionStamp:
         """Tell that the base answers a request, where there is no personal version.
@@ -191,11 +191,11 @@ class Decoders:
             share: the personal decoder's part of the forecast.
             forecaster: that decoder.
         """
-        radius = self._look_up(round(coverage, 4), self._name_base(forecaster))
-        if radius is None or share == 0:
-            return radius
-        scale = _read_radius_scale(forecaster)
-        return None if scale is None else np.float32(1 + share * (scale - 1)) * radius
+        scale = 1.0 if share == 0 else _read_radius_scale(forecaster)
+        if scale is None:
+            return None
+        factor = 1 + share * (scale - 1)
+        return self._look_up(round(coverage, 4), self._name_base(forecaster), factor)
 
     def _name_base(self, forecaster: Forecaster | None) -> str:
         """Tell what the base is called that a forecaster runs on."""
@@ -206,13 +206,13 @@ class Decoders:
         return self.base_sha256
 
     def _compute_radius(
-        self, coverage: float, base_sha256: str
+        self, coverage: float, base_sha256: str, factor: float
     ) -> Float32[np.ndarray, "horizon joint"] | None:
         other = self._other_bases.get(base_sha256)
         table = self._table if other is None else other.radius
         if table is None or not 0 < coverage <= table.levels[-1]:
             return None
-        return table.radius(coverage)
+        return np.float32(factor) * table.radius(coverage)
 
     def _compute(
         self,

@@ -253,10 +253,11 @@ class Engine:
         ended = time.perf_counter()
         self.telemetry.count_batch(len(jobs))
         ready: dict[AbstractEventLoop | None, list[tuple[Done, EngineResult]]] = {}
+        compute_ms = round((ended - started) * 1e3, 3)
         for job, landing in zip(jobs, landings, strict=True):
             timing = Timing(
                 queue_ms=round((started - job.since) * 1e3, 3),
-                compute_ms=round((ended - started) * 1e3, 3),
+                compute_ms=compute_ms,
                 total_ms=round((ended - job.since) * 1e3, 3),
             )
             self._recent_ms += 0.1 * (timing.total_ms - self._recent_ms)

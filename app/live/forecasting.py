@@ -73,7 +73,7 @@ def make_answer(
         coverage=result.coverage,
         version=result.version,
         quality=quality,
-        severity=worst_severity(quality),
+        severity=_judge(quality),
         filled=ready.filled,
         timing=result.timing,
     )
@@ -96,7 +96,10 @@ def add_displacement(
     """
     carried = displacement if skeleton.is_net else displacement[:, skeleton.carry]
     turned = carried if up == "y" else from_y_up(carried.astype(np.float64), up)
-    return np.asarray(last_joints + turned, dtype=np.float32)
+    return np.asarray((last_joints + turned).astype(np.float32))
+
+
+_judge = lru_cache(maxsize=256)(worst_severity)
 
 
 @lru_cache(maxsize=16)

@@ -54,6 +54,7 @@ class Likeness:
     def __init__(self, rules: GuardRules) -> None:
         self.known: Float[np.ndarray, "8"] | None = None
         self._rules = rules
+        self._expected: tuple[float, ...] | None = None
         self._seen: deque[tuple[float, Float[np.ndarray, "8"]]] = deque()
         self.clear()
 
@@ -61,6 +62,12 @@ class Likeness:
     def bones(self) -> Float[np.ndarray, "8"] | None:
         """The bones of whoever was seen in the second before `measured_t`."""
         return self._seen[-1][1] if self._seen else None
+
+    def expect(self, bones: tuple[float, ...] | None) -> None:
+        """Say whose body the weights were made for, None if nobody knows."""
+        if bones is not self._expected:  # said again with every frame
+            self._expected = bones
+            self.known = None if bones is None else np.array(bones)
 
     def clear(self) -> None:
         """Forget who was seen."""

@@ -6,7 +6,6 @@ a forecast, counted in `skipped` or `not_due`, or covered by a `waiting` or an `
 
 from collections.abc import Callable
 
-import numpy as np
 from msgspec import UNSET
 from msgspec.structs import replace
 
@@ -301,8 +300,7 @@ class Session:
         self._unit_was_wrong = False
         if age_ms > self.settings.max_age_ms:  # first, so that a backlog is soon worked off
             return self._tell_stale(frame.seq, age_ms)
-        bones = self.weights.choose(self.settings.version).bones
-        self._buffer.likeness.known = None if bones is None else np.array(bones)
+        self._buffer.likeness.expect(self.weights.choose(self.settings.version).bones)
         outcome = self._buffer.look()
         if isinstance(outcome, Waiting):
             return self._wait(frame, outcome, now)

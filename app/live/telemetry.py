@@ -3,6 +3,7 @@
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 
 from app.domain.motion import Timing, VersionStamp
+from app.live.tallies import Spread, Tally
 
 LATENCY_BUCKETS_MS = (1, 2, 5, 10, 20, 33, 50, 100, 200)
 BATCH_BUCKETS = (1, 2, 4, 8, 16, 32, 64, 128)
@@ -13,16 +14,14 @@ class Telemetry:
 
     def __init__(self) -> None:
         self.registry = CollectorRegistry()
-        self._labelled: dict[tuple[int, str], Counter] = {}
-        self._latency = Histogram(
+        self._latency = Spread(
             "kinecast_forecast_latency_ms",
             "Milliseconds from a window to its forecast: waiting, computing, both.",
-            ["stage"],
-            buckets=LATENCY_BUCKETS_MS,
+            "stage",
+            values=("queue", "compute", "total"),
+            bounds=LATENCY_BUCKETS_MS,
             registry=self.registry,
         )
-        # looked up once: this is counted for every forecast
-        self._stages = {name: self._latency.labels(name) for name in ("queue", "compute", "total")}
         self._batch = Histogram(
             "kinecast_engine_batch_size",
             "Windows that were forecast together.",
@@ -30,7 +29,7 @@ class Telemetry:
             registry=self.registry,
         )
         self._misses = self._count("kinecast_deadline_misses", "Forecasts that took over 33 ms.")
-        self._forecasts = self._count(
+        self._forecasts = self._tally(
             "kinecast_forecasts", "Forecasts by the kind of weights.", "kind"
         )
         self._fallbacks = self._count(
@@ -40,7 +39,7 @@ class Telemetry:
             "kinecast_decoder_trips",
             "Times that a personal decoder kept failing and was passed over.",
         )
-        self._frames = self._count("kinecast_frames", "Frames that streams sent, by fate.", "fate")
+        self._frames = self._tally("kinecast_frames", "Frames that streams sent, by fate.", "fate")
         self._errors = self._count("kinecast_errors", "Errors that streams were told.", "code")
         self._closed = self._count(
             "kinecast_streams_closed", "Streams that ended or were refused.", "close_code"
@@ -52,22 +51,17 @@ class Telemetry:
     def _count(self, name: str, meaning: str, *labels: str) -> Counter:
         return Counter(name, meaning, labels, registry=self.registry)
 
-    def _label(self, counter: Counter, label: str) -> Counter:
-        """Give the counter of one label; looked up once, for these are counted for every frame."""
-        key = (id(counter), label)
-        found = self._labelled.get(key)
-        if found is None:
-            found = self._labelled[key] = counter.labels(label)
-        return found
+    def _tally(self, name: str, meaning: str, label: str) -> Tally:
+        return Tally(name, meaning, label, registry=self.registry)
 
     def count_forecast(self, timing: Timing, stamp: VersionStamp, *, deadline_ms: float) -> None:
-        """Count one forecast of the engine."""
-        stages = {"queue": timing.queue_ms, "compute": timing.compute_ms, "total": timing.total_ms}
-        for stage, milliseconds in stages.items():
-            self._stages[stage].observe(milliseconds)
+        """Count one forecast of the engine, on its thread."""
+        self._latency.observe("queue", timing.queue_ms)
+        self._latency.observe("compute", timing.compute_ms)
+        self._latency.observe("total", timing.total_ms)
         if timing.total_ms > deadline_ms:
             self._misses.inc()
-        self._label(self._forecasts, stamp.kind).inc()
+        self._forecasts.add(stamp.kind)
         if stamp.fallback is not None:
             self._fallbacks.labels(stamp.fallback).inc()
 
@@ -80,9 +74,12 @@ class Telemetry:
         self._batch.observe(size)
 
     def count_frames(self, fate: str, number: int = 1) -> None:
-        """Count frames: `received`, `answered`, `skipped`, `not_due`, `stale` or `waiting`."""
+        """Count frames: `received`, `answered`, `skipped`, `not_due`, `stale` or `waiting`.
+
+        Only on the event loop's thread.
+        """
         if number:
-            self._label(self._frames, fate).inc(number)
+            self._frames.add(fate, number)
 
     def count_error(self, code: str) -> None:
         """Count one error that a stream was told."""

@@ -240,7 +240,8 @@ class FrameBuffer:
         # a frame before the second began shows that all of it was seen
         seen_enough = whole or seen.earlier > 0 or history.span_s >= rules.upside_down_s
         body = guard.judge_sums(seen.means, seen.tops, rules=rules, seen_enough=seen_enough)
-        found = tuple(dict.fromkeys([*(flag for flag in flags if flags[flag]), *body]))
+        named = [flag for flag, holds in flags.items() if holds]
+        found = (*named, *(flag for flag in body if flag not in named))
         if self.likeness.bones is not None and self.likeness.measured_t == history.newest_t:
             self.sightings.note(self.likeness.measured_t, self.likeness.bones, found)
         return found
@@ -288,7 +289,7 @@ def assemble(
         if len(confidence) != len(frames):
             raise BadFrameError(f"{len(confidence)} confidences for {len(frames)} frames.")
         check_confidence(confidence, joints)
-    buffer.likeness.known = None if bones is None else np.array(bones)
+    buffer.likeness.expect(bones)
     for i in range(len(frames)):  # all of them: an old frame may be where a joint was last seen
         buffer.push(float(t[i]), frames[i], None if confidence is None else confidence[i])
     outcome = buffer.look(whole=True)
