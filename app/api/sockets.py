@@ -38,7 +38,10 @@ LEAVE_S = 2.0
 PINGS_HZ, PING_BURST = 5.0, 60.0
 """WebSocket pings that a connection may send; libraries send one in some seconds."""
 FLOOD = 1000
-"""Frames of one read that are too many, whatever they hold: half a minute of 30 Hz."""
+"""Frames of one read, or of one message, that are too many, whatever they hold."""
+SLICE = 4096
+"""Bytes that the library reads at once: of a thousand tiny frames it would see the last one, and
+nobody else would have a turn, before anything could be done about the first."""
 BURST = 8
 """Messages of one read that are taken at once; the rest waits, so that others have their turn."""
 _SHORTCUT = "kinecast.shortcut"
@@ -152,7 +155,7 @@ class StreamProtocol(WebSocketsSansIOProtocol):
             return
         self._credit = BURST
         if self._pieces is None:
-            super().data_received(data)
+            self._leave_to_library(data)
             if self.handshake_initiated and data.endswith(b"\r\n\r\n"):
                 self._pieces = Pieces(self.config.ws_max_size)
             return
@@ -166,7 +169,22 @@ class StreamProtocol(WebSocketsSansIOProtocol):
     def _read(self, message: str | bytes | None, piece: bytes) -> None:
         """Hand a message over, or have the library read its bytes."""
         if message is None or not self._offer(message):
-            super().data_received(piece)
+            self._leave_to_library(piece)
+
+    def _leave_to_library(self, data: bytes) -> None:
+        """Have the library read bytes, up to where the client is refused."""
+        for start in range(0, len(data), SLICE):
+            if not self.is_refused:
+                super().data_received(data[start : start + SLICE])
+
+    def handle_cont(self, event: Frame) -> None:
+        """Take a further part of a message, but not parts without end, which may be empty."""
+        if self.is_refused:
+            return
+        if len(self.frames) >= FLOOD:
+            self._give_up(TooFastError("Too many parts of one message."))
+        else:
+            super().handle_cont(event)
 
     def handle_connect(self, event: Request) -> None:
         """Let the stream of this connection find its way past the framework."""

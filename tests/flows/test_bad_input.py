@@ -346,6 +346,24 @@ async def test_thousands_of_messages_in_one_read_are_too_many(served, user) -> N
 
 
 @pytest.mark.asyncio
+async def test_a_message_of_parts_without_end_is_cut_off_and_others_go_on(served, user) -> None:
+    part = Frame(Opcode.CONT, b"", fin=False).serialize(mask=True)
+    async with websockets.connect(
+        find_stream_url(served.url, user),
+        subprotocols=[websockets.Subprotocol(JSON)],
+        proxy=None,
+    ) as client:  # without a key
+        begin = Frame(Opcode.BINARY, b"", fin=False).serialize(mask=True)
+        client.transport.write(begin + part * 50_000)
+        async with httpx.AsyncClient(base_url=served.url, trust_env=False) as other:
+            assert (await other.get("/healthz", timeout=5)).status_code == 200
+        with pytest.raises(websockets.ConnectionClosed) as caught:
+            await asyncio.wait_for(_read_all(client), 10)
+    assert caught.value.rcvd is not None
+    assert caught.value.rcvd.code == 4429
+
+
+@pytest.mark.asyncio
 async def test_a_client_that_never_reads_is_given_up_and_disturbs_nobody(served, user) -> None:
     small = socket.socket()
     small.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)

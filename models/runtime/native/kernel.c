@@ -195,11 +195,24 @@ static int check_gate(const Shape *s, const Py_buffer *view) {
     return -1;
 }
 
+static int is_joint(const Shape *s, int joint) { return joint >= 0 && joint < s->joints; }
+
+/* Whether the tree lists joints of the skeleton, parents first. */
+static int is_tree(const Shape *s) {
+    for (int i = 0; i < s->joints; i++) {
+        const int *parent = s->parent + i, *depth = s->depth + i;
+        if (!is_joint(s, s->order[i]) || *parent < 0 || *parent > (i ? i - 1 : 0)) return 0;
+        if (*depth != (i ? s->depth[*parent] + 1 : 0)) return 0;
+    }
+    return is_joint(s, s->hip) && is_joint(s, s->left_hip) && is_joint(s, s->right_hip) &&
+           is_joint(s, s->left_shoulder) && is_joint(s, s->right_shoulder);
+}
+
 static int check_shape(const Py_buffer *view) {
     const Shape *s = view->buf;
     const char *problem = NULL;
     if (view->len != sizeof(Shape)) problem = "a shape has another size";
-    else if (s->observe < 2 || s->observe > MAX_OBSERVE || s->heading_frames > s->observe ||
+    else if (s->observe < 2 || s->observe > MAX_OBSERVE || s->heading_frames < 1 || s->heading_frames > s->observe ||
              s->joints < 1 || s->joints > MAX_JOINTS || s->horizon < 1)
         problem = "windows or skeletons of this size have no kernel";
     else if (s->hidden < 1 || s->state < 1 || s->token < 1 || s->spl < 1 || s->z < 1 || s->c < 1 ||
@@ -208,6 +221,8 @@ static int check_shape(const Py_buffer *view) {
              s->c > MAX_C || s->heads > MAX_HEADS || s->decoder_heads > MAX_HEADS ||
              s->hidden % (16 * s->heads) || s->token % (16 * s->decoder_heads))
         problem = "nets of this size have no kernel";
+    else if (!is_tree(s))
+        problem = "this kinematic tree has no kernel";
     if (problem) PyErr_SetString(PyExc_ValueError, problem);
     return problem ? -1 : 0;
 }

@@ -89,9 +89,15 @@ static PyObject *find_fastest(PyObject *module, PyObject *args) {
     int joints, root;
     if (!PyArg_ParseTuple(args, "y*ii", &poses, &joints, &root)) return NULL;
     const double *at = poses.buf;
-    const Py_ssize_t frames = joints > 0 ? poses.len / (3 * joints * (Py_ssize_t)sizeof(double)) : 0;
     double most[2] = {0.0, 0.0};
-    for (Py_ssize_t i = joints; root >= 0 && i < frames * joints; i++) {
+    if (joints < 1 || joints > 4096 || root < 0 || root >= joints ||
+        poses.len % (3 * joints * (Py_ssize_t)sizeof(double))) {
+        PyBuffer_Release(&poses);
+        PyErr_SetString(PyExc_ValueError, "poses, joints and root do not fit each other");
+        return NULL;
+    }
+    const Py_ssize_t frames = poses.len / (3 * joints * (Py_ssize_t)sizeof(double));
+    for (Py_ssize_t i = joints; i < frames * joints; i++) {
         const double *now = at + 3 * i, *then = now - 3 * joints;
         const double x = now[0] - then[0], y = now[1] - then[1], z = now[2] - then[2];
         const double squared = x * x + y * y + z * z;

@@ -15,7 +15,7 @@ from models.personal import PersonalDecoder
 from models.predictor import NetConfig, Predictor
 from models.rounding import round_matrices
 from models.runtime import fused
-from models.runtime.fused import PROCESSORS, PackedPerson, find_packed, forecast_fused
+from models.runtime.fused import KERNEL, PROCESSORS, PackedPerson, find_packed, forecast_fused
 from models.runtime.pack import KINDS, Packed, find_packed_kind, pack_decoder, pack_gate
 from models.symmetry import Symmetry
 from tests.nets import SMALL
@@ -249,3 +249,28 @@ def test_what_does_not_fit_is_refused_before_anything_is_read() -> None:
         forecast_fused(base, WINDOWS[:2, 1:], [None, None])
     with pytest.raises(KeyError):
         forecast_fused(base, WINDOWS[:1], [None], processor="abacus")
+
+
+@pytest.mark.skipif(KERNEL is None, reason="no kernel was built")
+@pytest.mark.parametrize(
+    ("place", "value"), [(11, 10**6), (19, 10**6), (51, 10**6), (51, -1), (16, 0), (16, -(2**31))]
+)
+def test_a_shape_that_points_outside_of_the_skeleton_is_refused(place: int, value: int) -> None:
+    base = find_packed(NET)
+    assert KERNEL is not None
+    assert base is not None
+    KERNEL.check(base.shape)
+    shape = np.frombuffer(base.shape, np.int32).copy()
+    shape[place] = value
+    with pytest.raises(ValueError, match="kernel"):
+        KERNEL.check(shape.tobytes())
+
+
+@pytest.mark.skipif(KERNEL is None, reason="no kernel was built")
+@pytest.mark.parametrize(
+    ("joints", "root"), [(-20, 0), (-(2**31), 0), (1431655766, 0), (3, 3), (2, 0)]
+)
+def test_poses_of_another_size_are_refused(joints: int, root: int) -> None:
+    assert KERNEL is not None
+    with pytest.raises(ValueError, match="fit"):
+        KERNEL.find_fastest(np.zeros(9), joints, root)
