@@ -56,7 +56,7 @@ class WorkerRules:
     timeout_s: float = 900.0
     threads: int = 1
     steps: int | None = None
-    nice: int = 10
+    nice: int = 0
     versions_kept: int = 10
 
 
