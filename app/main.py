@@ -47,6 +47,7 @@ from app.storage.sessions import watch
 from app.version import read_version
 from app.worker.embedded import EmbeddedWorker
 from models.checkpoint import SHIPPED, CheckpointError, load_checkpoint
+from models.runtime.stacked import find_device
 
 DESCRIPTION = "Forecasts how a person will move in the next half second, and learns each person."
 WARM_UP_S = 60.0
@@ -94,7 +95,7 @@ def create_app(
     state = app.state
     state.settings = settings
     state.database = Database.from_settings(settings)
-    state.decoders = decoders or load_decoders(settings.model)
+    state.decoders = decoders or load_decoders(settings.model, settings.device)
     state.base_sha256 = state.decoders.base_sha256
     state.window_rules = WindowRules.from_settings(settings)
     state.telemetry = Telemetry()
@@ -152,20 +153,30 @@ def _make_housekeeper(registry: Registry, database: Database, settings: Settings
     )
 
 
-def load_decoders(path: Path | None) -> Decoders:
+def load_decoders(path: Path | None, device: str = "cpu") -> Decoders:
     """Load the base model.
 
     Args:
         path: a checkpoint, None for the one that is shipped.
+        device: where to compute; see `models.runtime.stacked.find_device`.
 
     Raises:
-        StartError: there is no file, or it is no checkpoint.
+        StartError: there is no file, or it is no checkpoint; or no such device.
     """
     try:
         checkpoint = load_checkpoint(path or SHIPPED)
     except (OSError, CheckpointError) as error:
         raise StartError(f"The base model cannot be loaded: {error}.") from error
-    return Decoders(checkpoint.predictor, base_sha256=checkpoint.sha256, radius=checkpoint.radius)
+    try:
+        where = find_device(device)
+    except ValueError as error:
+        raise StartError(f"KINECAST_DEVICE: {error}.") from error
+    return Decoders(
+        checkpoint.predictor,
+        base_sha256=checkpoint.sha256,
+        radius=checkpoint.radius,
+        device=where,
+    )
 
 
 async def drain(app: FastAPI) -> None:

@@ -83,6 +83,11 @@ class Settings(BaseSettings):
         None, description="Weights to serve in place of the shipped base model (safetensors)."
     )
     engine_threads: Count = Field(1, description="Threads of the forecasting engine's arithmetic.")
+    device: str = Field(
+        "auto",
+        description="Where forecasts are computed: `cpu`, a device as torch names it (`cuda`), or "
+        "`auto`: a GPU where torch finds one.",
+    )
     engine_batch: Count = Field(64, description="Most windows that one batch takes.")
     forecast_queue: Count = Field(
         256, description="Most single forecasts in flight; one more is answered `overloaded`."

@@ -18,7 +18,7 @@ from torch import Tensor
 DIRECTIONS = 24
 MOST_POINTS = 4096
 """More windows than this (two minutes of motion) are thinned out evenly."""
-_SNAP = 0.01
+SNAP = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ class Familiarity:
     def share(self, z: Float[Tensor, "window continuous"]) -> Float[Tensor, " window"]:
         """Part of the personal decoder in each forecast, 0 to 1; far enough out exactly these."""
         share = torch.sigmoid((self.rule.half - self.distance(z)) / self.rule.width)
-        return ((share - _SNAP) / (1 - 2 * _SNAP)).clamp(0, 1)
+        return ((share - SNAP) / (1 - 2 * SNAP)).clamp(0, 1)
 
     def reaching(self, half: float) -> "Familiarity":
         """Give the same with another distance at which the share is one half."""

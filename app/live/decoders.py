@@ -21,11 +21,12 @@ from models.runtime.fused import find_packed
 from models.runtime.mixed import NET_FAILURES, forecast_mixed
 from models.runtime.pack import PackedBase
 from models.runtime.served import ServedDecoder, forecast_served, serve
+from models.runtime.stacked import Stack, StackedDecoder, find_stack
 from models.skeleton import HIP_CENTER
 from models.spec import MotionSpec
 from models.uncertainty import RadiusTable
 
-_PERSONAL = (ServedDecoder, PersonalDecoder)
+_PERSONAL = (ServedDecoder, StackedDecoder, PersonalDecoder)
 
 
 class UnusableWeightsError(ValueError):
@@ -61,14 +62,20 @@ class Decoders:
         base: the base model, or any other forecaster.
         base_sha256: what its weights are called.
         radius: its calibrated radius, if it has one.
+        device: where torch stacks decoders, a GPU; None: the kernel, or torch on the processor.
     """
 
     def __init__(
-        self, base: Forecaster, *, base_sha256: str, radius: RadiusTable | None = None
+        self,
+        base: Forecaster,
+        *,
+        base_sha256: str,
+        radius: RadiusTable | None = None,
+        device: str | None = None,
     ) -> None:
         self.base_sha256 = base_sha256
         self.breaker = Breaker()
-        self._base, self._table = base, radius
+        self._base, self._table, self._device = base, radius, device
         self._other_bases: dict[str, Checkpoint] = {}
         self._look_up = lru_cache(maxsize=1024)(self._compute_radius)
 
@@ -109,7 +116,9 @@ class Decoders:
             base_sha256 = self.base_sha256
         try:
             net = self._find_base(base_sha256, base)
-            return serve(load_personal(blob, net, base_sha256=base_sha256))
+            personal = load_personal(blob, net, base_sha256=base_sha256)
+            stack = find_stack(net, self._device)
+            return serve(personal) if stack is None else stack.add(personal)
         except CheckpointError as error:
             raise UnusableWeightsError(str(error)) from error
         except NET_FAILURES as error:  # a header that promises what is not there, and its kin
@@ -137,6 +146,9 @@ class Decoders:
         Args:
             windows: metres, net skeleton, y up.
         """
+        stack = find_stack(self._base, self._device)
+        if stack is not None:
+            return stack.forecast(windows, [None] * len(windows))[0]
         packed = find_packed(self._base)
         if packed is not None:
             return forecast_served(packed, windows, [None] * len(windows)).displacement
@@ -221,7 +233,11 @@ class Decoders:
     ) -> list[Outcome]:
         """Compute one part of a batch: everybody behind one base's encoder, or one forecaster."""
         first = next((one for one in forecasters if one is not None), None)
-        packed = find_packed(first.base if isinstance(first, _PERSONAL) else first or self._base)
+        net = first.base if isinstance(first, _PERSONAL) else first or self._base
+        stack = find_stack(net, self._device)
+        if stack is not None and not isinstance(first, PersonalDecoder):
+            return _forecast_stacked(stack, windows, forecasters)
+        packed = find_packed(net)
         if packed is not None and not isinstance(first, PersonalDecoder):
             return _forecast_served(packed, windows, forecasters)
         given = _centre(windows)
@@ -255,6 +271,17 @@ def _forecast_served(
     made = forecast_served(packed, windows, decoders)
     rows = zip(made.displacement, made.share.tolist(), made.fastest.tolist(), strict=True)
     return [Computed(*row) for row in rows]
+
+
+def _forecast_stacked(
+    stack: Stack,
+    windows: Float[np.ndarray, "batch observe 20 3"],
+    forecasters: Sequence[Forecaster | None],
+) -> list[Outcome]:
+    """Forecast by a base and by all that run behind its encoder, on a device."""
+    decoders = [one if isinstance(one, StackedDecoder) else None for one in forecasters]
+    made = stack.forecast(windows, decoders)
+    return [Computed(*row) for row in zip(made[0], made[1].tolist(), strict=True)]
 
 
 def _forecast_mixed(

@@ -23,6 +23,7 @@ from models.predictor import Predictor
 from models.runtime.fused import PROCESSORS, PackedPerson, find_packed, forecast_fused
 from models.runtime.mixed import forecast_mixed
 from models.runtime.pack import KINDS, Kind, PackedBase, pack_decoder
+from models.runtime.stacked import Stack, StackedDecoder, find_device
 from models.spec import MotionSpec
 
 WARM_UP_CALLS = 3
@@ -61,6 +62,8 @@ class People:
     packed_base: PackedBase | None
     torch: Sequence[PersonalDecoder]
     packed: Mapping[Kind, Sequence[PackedPerson]]
+    stack: Stack
+    stacked: Sequence[StackedDecoder]
 
 
 def measure_forecast(plan: ForecastPlan) -> dict[str, Any]:
@@ -96,7 +99,8 @@ def invent_people(base: Predictor, users: int) -> People:
             decoders.append(PersonalDecoder(base, decoder, None, {}))
         for kind, people in forms.items():
             people.append(PackedPerson(pack_decoder(decoder, kind=kind), None))
-    return People(base, packed, decoders, forms)
+    stack = Stack(base, find_device("auto") or "cpu")
+    return People(base, packed, decoders, forms, stack, [stack.add(one) for one in decoders])
 
 
 def invent_windows(users: int) -> Windows:
@@ -115,6 +119,7 @@ def _measure_users(
         "eager": partial(_one_after_another, people),
         "torch": partial(_batch, people),
     }
+    ways[f"stacked {people.stack.device.type}"] = partial(_stack, people)
     if people.packed_base is not None:
         for processor in PROCESSORS:
             for kind, packed in people.packed.items():
@@ -143,6 +148,12 @@ def _batch(people: People, windows: Windows) -> object:
     given = torch.from_numpy(windows.astype(np.float32))
     own = people.torch
     return forecast_mixed(people.base, given, [own[i % len(own)] for i in range(len(given))])
+
+
+def _stack(people: People, windows: Windows) -> object:
+    """Forecast by stacked products: on a GPU where there is one."""
+    own = people.stacked
+    return people.stack.forecast(windows, [own[i % len(own)] for i in range(len(windows))])
 
 
 def _fuse(
