@@ -1,0 +1,45 @@
+"""What is known of time: ours, and the service's."""
+
+import math
+from typing import NamedTuple
+
+_RTT_FORGET = 1.02
+"""A round trip counts as better than the best one so far if it is at most this much longer for
+each one since: clocks drift."""
+
+
+class Moment(NamedTuple):
+    """A point in time.
+
+    Attributes:
+        mono: this machine's monotonic clock, seconds: for deadlines.
+        frame: the clock of the frames, seconds; the same one unless the caller has another.
+    """
+
+    mono: float
+    frame: float
+
+
+class ServerClock:
+    """The service's clock against that of our frames, from pings and pongs.
+
+    Attributes:
+        offset_s: the service's clock minus ours, exact to half of `rtt_s`; None before a pong.
+        rtt_s: the round trip by which it was measured, None before a pong.
+    """
+
+    def __init__(self) -> None:
+        self.offset_s: float | None = None
+        self.rtt_s: float | None = None
+        self._best = math.inf
+
+    def learn(self, *, sent: Moment, server_t: float, now: Moment) -> float | None:
+        """Learn from a pong and give its round trip in seconds, None where it makes no sense."""
+        rtt_s = now.mono - sent.mono
+        if rtt_s < 0 or not math.isfinite(server_t):
+            return None
+        self._best *= _RTT_FORGET
+        if rtt_s <= self._best:
+            self._best = self.rtt_s = rtt_s
+            self.offset_s = server_t - (sent.frame + now.frame) / 2
+        return rtt_s

@@ -1,0 +1,69 @@
+"""What counts as a frame, before it is sent."""
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from kinecast_client.errors import FrameError
+
+COORDINATE_MAX_M = 100.0
+CLOCK_RESTART_S = 1.0
+"""A clock that goes back by more than this was restarted; by less, the frame is refused."""
+RATE_SLACK = 0.9
+
+Array = npt.ArrayLike
+
+
+def read_joints(joints: Array | None, count: int | None) -> npt.NDArray[np.float32] | None:
+    """Copy the joints of a frame: [J, 3] metres, NaN where missing.
+
+    Raises:
+        FrameError: they have another shape, or are no numbers.
+    """
+    if joints is None:
+        return None
+    try:
+        pose = np.array(joints, dtype=np.float32)
+    except (TypeError, ValueError) as error:
+        raise FrameError(f"joints must be numbers [J, 3]: {error}.") from None
+    if pose.ndim != 2 or pose.shape[1] != 3 or len(pose) != (count or len(pose)):
+        wanted = f"[{count or 'J'}, 3]"
+        raise FrameError(f"joints must have the shape {wanted}, got {list(pose.shape)}.")
+    return pose
+
+
+def read_confidence(confidence: Array | None, count: int | None) -> npt.NDArray[np.float32] | None:
+    """Copy the confidences of a frame: [J], cut to 0 to 1; NaN is 0.
+
+    Raises:
+        FrameError: they have another shape, or are no numbers.
+    """
+    if confidence is None:
+        return None
+    try:
+        values = np.array(confidence, dtype=np.float32)
+    except (TypeError, ValueError) as error:
+        raise FrameError(f"confidence must be numbers [J]: {error}.") from None
+    if values.ndim != 1 or len(values) != (count or len(values)):
+        raise FrameError(f"confidence must have the shape [{count or 'J'}], got {values.shape}.")
+    return np.clip(np.nan_to_num(values, nan=0.0), 0.0, 1.0)
+
+
+def find_flaw(pose: npt.NDArray[np.float32] | None) -> str | None:
+    """Tell why the service would refuse these coordinates, None where it would not."""
+    if pose is None:
+        return None
+    largest = np.abs(pose).max(initial=0.0, where=~np.isnan(pose))
+    return "bad_frame" if largest > COORDINATE_MAX_M else None
+
+
+def find_wrong_time(t: float, last_t: float | None, max_rate_hz: float) -> str | None:
+    """Tell why a frame at this time cannot be sent, None where it can."""
+    if not math.isfinite(t):
+        return "bad_time"
+    if last_t is None or last_t - t > CLOCK_RESTART_S:
+        return None
+    if t <= last_t:
+        return "t_not_increasing"
+    return "too_fast" if (t - last_t) * max_rate_hz < RATE_SLACK else None
