@@ -10,7 +10,7 @@ TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 TORCH := torch==2.13.0
 
 .DEFAULT_GOAL := help
-.PHONY: studies study-bases study-main study-everybody study-unseen study-growth study-wild study-seconds study-ablation coverage live peers where personal reproduce stream-check performance picture crowd faults help serve test lint types imports check-migrations unit clean
+.PHONY: planning studies study-bases study-main study-everybody study-unseen study-growth study-wild study-seconds study-ablation coverage live peers where personal reproduce stream-check performance picture crowd faults help serve test lint types imports check-migrations unit clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
@@ -88,6 +88,9 @@ crowd: $(VENV)/.test ## 200 people record at once: fair order, memory, jobs per 
 
 live: $(VENV)/.test ## record a real person on a stream, check every answer, draw the timeline (about 4 min)
 	UTD_MHAD=$${UTD_MHAD:-$(SHARED)/utd-mhad} $(BIN)/python -m benchmarks.live --figure docs/figures/personalisation.svg $(ARGS)
+
+planning: $(VENV)/.test ## a robot beside recorded people, with and without forecasts (about 15 min)
+	OMP_NUM_THREADS=1 UTD_MHAD=$${UTD_MHAD:-$(SHARED)/utd-mhad} $(BIN)/python -m benchmarks.planning $(ARGS)
 
 faults: $(VENV)/.test ## kill, stop, fill and damage what can be, 20 times each (about 30 min; some of it as root)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.faults $(ARGS)

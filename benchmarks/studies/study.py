@@ -116,7 +116,7 @@ def key_of(study: Study, unit: Unit, lab: Lab) -> str | None:
             "person": unit.person,
             "settings": unit.settings,
             "data": hash_collection(lab.place, unit.source) if unit.person else None,
-            "fit": _describe_fit() if unit.personal else None,
+            "fit": describe_fit() if unit.personal else None,
             **unit.decided_by,
         }
     )
@@ -127,7 +127,7 @@ def subject_of(row: Row) -> str:
     return str(row["person"]).rpartition("/")[2]
 
 
-def _describe_fit() -> dict[str, Any]:
+def describe_fit() -> dict[str, Any]:
     """Describe everything that decides a personal version but clips, base and seed."""
     config = asdict(FinetuneConfig())
     return {
