@@ -118,8 +118,8 @@ class Codec:
             message: Incoming = self._message.decode(raw)
         except msgspec.ValidationError as error:
             return self._explain(raw, str(error))
-        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-            return self._explain_broken(raw)
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+            return self._explain_broken(raw, str(error))
         if not isinstance(message, Frame):
             return message
         try:
@@ -155,8 +155,8 @@ class Codec:
         """Say what is wrong with a well-formed message of another shape."""
         try:
             peek = self._peek.decode(raw)
-        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-            return self._explain_broken(raw)
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+            return self._explain_broken(raw, str(error))
         seq = peek.seq if isinstance(peek.seq, int) and not isinstance(peek.seq, bool) else None
         if not isinstance(peek.type, str) or peek.type not in _TYPES:
             return Rejected(InvalidError("There is no message of this type."), seq)
@@ -165,12 +165,12 @@ class Codec:
         kinds = {"frame": BadFrameError, "configure": BadConfigureError}
         return Rejected(kinds.get(peek.type, InvalidError)(f"{peek.type}: {problem}."), seq)
 
-    def _explain_broken(self, raw: bytes) -> Rejected:
+    def _explain_broken(self, raw: bytes, problem: str) -> Rejected:
         """Tell NaN in JSON, which many encoders write, from broken framing."""
         if self.is_binary:
             return Rejected(BadMessageError("This is no msgpack object."))
         try:
-            lenient = json.loads(raw)
+            lenient = json.loads(raw.decode())  # bytes would be searched for other encodings
         except (ValueError, RecursionError):
             return Rejected(BadMessageError("This is no JSON."))
         if not isinstance(lenient, dict):
@@ -179,7 +179,7 @@ class Codec:
         if b"NaN" in raw or b"Infinity" in raw:
             return Rejected(NanInJsonError(), seq if type(seq) is int else None)
         return Rejected(
-            BadFrameError("A number is out of range."), seq if type(seq) is int else None
+            BadFrameError(f"This cannot be read: {problem}."), seq if type(seq) is int else None
         )
 
 

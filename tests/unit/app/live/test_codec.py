@@ -248,3 +248,19 @@ def test_a_number_out_of_range_is_a_bad_frame() -> None:
     rejected = CODECS[JSON].decode(raw.decode())
     assert isinstance(rejected, Rejected)
     assert rejected.error.code == "bad_frame"
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "words"),
+    [
+        ('{"type":"frame","seq":1,"t":0,"joints":[["\\ud800",1,2]]}', BadFrameError, "escape"),
+        ('\ufeff{"type":"frame","seq":1,"t":0,"joints":null}', BadMessageError, "no JSON"),
+    ],
+)
+def test_text_that_only_lenient_readers_take_is_called_what_it_is(
+    text: str, kind: type[KinecastError], words: str
+) -> None:
+    answer = Codec("kinecast.v1.json", joints=20).decode(text)
+    assert isinstance(answer, Rejected)
+    assert isinstance(answer.error, kind)
+    assert words in str(answer.error)
