@@ -1,0 +1,43 @@
+"""What the studies measured, as the figures want it."""
+
+from collections.abc import Sequence
+
+from benchmarks.studies import main, seconds
+from benchmarks.studies.cache import RESULTS, Cache, Row
+from benchmarks.studies.main import Seeds, by_seed
+from benchmarks.studies.measured import Measured
+from benchmarks.studies.study import subject_of
+
+
+class MissingError(Exception):
+    """A figure lacks what it shows; says how to get it."""
+
+
+def read_seeds(family: str) -> Seeds:
+    """Give what was measured with bases of a family, by seed and subject.
+
+    Raises:
+        MissingError: no seed is whole.
+    """
+    seeds = by_seed(_read(main.STUDY.name), family)
+    if not seeds:
+        raise MissingError("make study-main")
+    return seeds
+
+
+def read_budgets() -> list[tuple[str, float, Measured]]:
+    """Give errors by subject and seconds of fitting.
+
+    Raises:
+        MissingError: nothing was measured.
+    """
+    rows = [row for row in _read(seconds.STUDY.name) if "budget_s" in row]
+    if not rows:
+        raise MissingError("make study-seconds")
+    return [
+        (subject_of(row), float(row["budget_s"]), Measured.from_json(row["errors"])) for row in rows
+    ]
+
+
+def _read(study: str) -> Sequence[Row]:
+    return list(Cache(RESULTS / f"{study}.jsonl").read().values())
