@@ -1,5 +1,6 @@
 """The client for programs with an event loop."""
 
+import asyncio
 import time
 import weakref
 from collections.abc import Callable, Sequence
@@ -14,6 +15,7 @@ from kinecast_client.answers import read_answer
 from kinecast_client.async_resources import AsyncJobs, AsyncTrials, AsyncUsers, AsyncVersions
 from kinecast_client.async_stream import AsyncStream, OnEventAsync, OnForecastAsync
 from kinecast_client.calls import Call
+from kinecast_client.checks import check_key, check_settings, check_stream
 from kinecast_client.errors import DeadlineError, UnreachableError
 from kinecast_client.forecasts import Forecast
 from kinecast_client.frames import Array
@@ -39,7 +41,7 @@ class AsyncClient:
         timeout_s: longest wait for an answer, where a call says nothing else.
 
     Raises:
-        ValueError: `url` is no address.
+        ValueError: `url` is no address, or `key` cannot be one.
     """
 
     users: AsyncUsers
@@ -47,12 +49,13 @@ class AsyncClient:
     versions: AsyncVersions
     jobs: AsyncJobs
 
-    def __init__(self, url: str, key: str | None, *, timeout_s: float = TIMEOUT_S) -> None:
+    def __init__(self, url: str, key: str, *, timeout_s: float = TIMEOUT_S) -> None:
         self.url = read_url(url)
-        self._key, self._timeout_s = key, timeout_s
+        self._key, self._timeout_s = check_key(key), timeout_s
+        self._is_closed = False
         self._http = httpx.AsyncClient(
             base_url=self.url,
-            headers={} if key is None else {"Authorization": f"Bearer {key}"},
+            headers={"Authorization": f"Bearer {key}"},
             trust_env=not is_loopback(self.url),
         )
         self._streams: weakref.WeakSet[AsyncStream] = weakref.WeakSet()
@@ -74,6 +77,7 @@ class AsyncClient:
 
     async def close(self) -> None:
         """Close it and its streams."""
+        self._is_closed = True
         for stream in list(self._streams):
             await stream.close()
         await self._http.aclose()
@@ -82,7 +86,7 @@ class AsyncClient:
         """Tell whether the service can forecast now."""
         try:
             call = Call("GET", "/readyz", bytes)
-            return (await self._request(call, self._timeout_s)).is_success
+            return (await self._request(call, self._timeout_s))[0] == httpx.codes.OK
         except UnreachableError:
             return False
 
@@ -150,8 +154,15 @@ class AsyncClient:
             joints: names of your joints; another skeleton is refused.
             clock: gives the time of your frames in seconds, where that is not `time.monotonic`.
             form: of the messages; `json` is there to look at them.
+
+        Raises:
+            ValueError: an argument is out of its range.
+            RuntimeError: the client was closed.
         """
-        settings = Settings(forecast_every, coverage, version, max_age_s * 1e3)
+        if self._is_closed:
+            raise RuntimeError("the client was closed")
+        check_stream(hold_s=hold_s, form=form, session=session)
+        settings = check_settings(Settings(forecast_every, coverage, version, max_age_s * 1e3))
         options = StreamOptions(
             settings=settings,
             rules=Rules(max_age_s=max_age_s, hold_s=hold_s),
@@ -170,22 +181,17 @@ class AsyncClient:
         return stream
 
     async def _send(self, call: Call[Answer], timeout_s: float | None = None) -> Answer:
-        answer = await self._request(call, self._timeout_s if timeout_s is None else timeout_s)
-        return read_answer(answer.status_code, answer.headers, answer.content, call.read)
+        status, headers, content = await self._request(call, timeout_s or self._timeout_s)
+        return read_answer(status, headers, content, call.read)
 
-    async def _request(self, call: Call[Answer], timeout_s: float) -> httpx.Response:
+    async def _request(
+        self, call: Call[Answer], timeout_s: float
+    ) -> tuple[int, httpx.Headers, bytes]:
         try:
-            return await self._http.request(
-                call.method,
-                call.path,
-                content=call.content,
-                data=dict(call.fields) or None,
-                files=list(call.files) or None,
-                headers=dict(call.headers),
-                params={name: value for name, value in call.query.items() if value is not None},
-                timeout=timeout_s,
-            )
-        except httpx.TimeoutException:
+            asked = self._http.request(**call.to_httpx(), timeout=None)
+            answer = await asyncio.wait_for(asked, timeout_s)
+        except asyncio.TimeoutError:
             raise DeadlineError(f"{self.url} did not answer within {timeout_s:g} s.") from None
-        except httpx.TransportError as error:
+        except httpx.RequestError as error:
             raise UnreachableError(f"Nobody answers at {self.url}: {error}.") from error
+        return answer.status_code, answer.headers, answer.content

@@ -30,12 +30,12 @@ class Target(NamedTuple):
     Attributes:
         url: of the service, http or https.
         user: whose stream.
-        key: the API key, None for none.
+        key: the API key.
     """
 
     url: str
     user: str
-    key: str | None
+    key: str
 
 
 class Link:
@@ -88,7 +88,7 @@ class Link:
         ending = asyncio.ensure_future(self._end.wait())
         try:
             while not self._end.is_set() and not self._is_over():
-                await _until(ending, self._attend())
+                await _until(ending, self._attend_safely())
                 await _until(ending, self._rest())
         finally:
             ending.cancel()
@@ -98,13 +98,21 @@ class Link:
 
     def _is_over(self) -> bool:
         with self._lock:
-            return self.core.phase in {Phase.STOPPED, Phase.CLOSED}
+            return self.core.is_over
 
     async def _rest(self) -> None:
         with self._lock:
             is_resting, until = self.core.phase is Phase.RESTING, self.core.retry_at
         if is_resting:
             await asyncio.sleep(max(0.0, until - time.monotonic()))
+
+    async def _attend_safely(self) -> None:
+        """Make one connection; a defect costs that one, and not the robot's forecasts."""
+        try:
+            await self._attend()
+        except Exception as error:
+            log.exception("a connection ended by a defect of the client")
+            self._report_lost(self.core.connection, BROKEN, f"{type(error).__name__}: {error}")
 
     async def _attend(self) -> None:
         """Make one connection and serve it to its end."""
@@ -118,7 +126,7 @@ class Link:
             socket = await connect(
                 find_stream_url(url, user, query),
                 subprotocols=[Subprotocol(subprotocol)],
-                additional_headers={} if key is None else {"Authorization": f"Bearer {key}"},
+                additional_headers={"Authorization": f"Bearer {key}"},
                 compression=None,
                 max_size=MAX_MESSAGE_BYTES,
                 open_timeout=open_s,

@@ -1,5 +1,6 @@
 """A recording as the client knows it: a state machine; the frames are on the tape."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, cast
 
@@ -24,7 +25,7 @@ class RecordingStatus:
         stored_seq: the newest frame that is in the database, None for none.
         clips_dropped: clips that lost frames in the service.
         job: the fine-tuning job, once it is stored and one was asked for.
-        error: what was last wrong with it, as `code: message`; None where nothing was.
+        error: what was last wrong with it; None where nothing was.
     """
 
     trial: str
@@ -49,15 +50,23 @@ class Taking:
         self.in_clip = True
         self.code = "failed"
         self._heard_at = now
+        self._end: Callable[[], None] | None = None
 
     @property
     def takes_frames(self) -> bool:
         """Whether a frame that is handed over now belongs to it."""
         return self.in_clip and self.status.state in {"starting", "recording"}
 
-    def end(self) -> None:
-        """Note that its end was asked for."""
+    def end(self, ask: Callable[[], None]) -> None:
+        """Ask for its end; `ask` may be called again where no answer comes."""
+        self._end = ask
         self._change(state="ending")
+        ask()
+
+    def repeat_end(self) -> None:
+        """Ask for its end once more, if that was asked for."""
+        if self._end is not None:
+            self._end()
 
     def hear(self, news: TrialNews, now: float) -> None:
         """Take note of what the service says of it."""
@@ -83,7 +92,7 @@ class Taking:
         self.code = error.code
         self._change(
             state="failed" if is_fatal else self.status.state,
-            error=f"{error.code}: {error.message}",
+            error=error.message,
         )
 
     def is_quiet(self, now: float) -> bool:

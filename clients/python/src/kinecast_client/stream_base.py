@@ -10,6 +10,7 @@ from uuid import uuid4
 
 import msgspec
 
+from kinecast_client.checks import check_label, check_settings, check_trial
 from kinecast_client.clock import Moment
 from kinecast_client.core import Core, Phase
 from kinecast_client.errors import KinecastError, RecordingError, UnreachableError
@@ -18,6 +19,7 @@ from kinecast_client.forecasts import Forecast, Version
 from kinecast_client.frames import Array
 from kinecast_client.link import Link, Target
 from kinecast_client.messages import Form, Hello, ServiceError, Settings
+from kinecast_client.outgoing import Outgoing
 from kinecast_client.recordings import RecordingStatus, Taking
 from kinecast_client.rules import Rules
 from kinecast_client.statistics import Statistics
@@ -108,17 +110,21 @@ class StreamBase:
     ) -> None:
         """Change how forecasts are made, now and after every reconnect; what is None stays.
 
-        What makes no sense comes back as an error of the service; see `last_error`.
+        A version that there is not comes back as an error of the service; see `last_error`.
 
         Args:
             forecast_every: answer every n-th frame, 1 to 600.
             coverage: probability for `radius`, above 0 and below 1.
             version: `active`, `base` or a number.
+
+        Raises:
+            ValueError: an argument is out of its range.
         """
         given = {"forecast_every": forecast_every, "coverage": coverage, "version": version}
         changes = {name: value for name, value in given.items() if value is not None}
         with self._lock:
-            self._core.configure(msgspec.structs.replace(self._core.settings, **changes))
+            wanted = msgspec.structs.replace(self._core.settings, **changes)
+            self._core.configure(check_settings(wanted))
         self._link.wake()
 
     def reset(self) -> None:
@@ -127,7 +133,7 @@ class StreamBase:
         No forecast of the frames before is handed out any more.
         """
         with self._lock:
-            self._core.reset()
+            self._core.outgoing.reset()
         self._link.wake()
 
     def statistics(self) -> Statistics:
@@ -190,17 +196,20 @@ class StreamBase:
 
     def _explain_absence(self) -> KinecastError:
         """Say why the stream is not open."""
-        why = self._core.last_failure or "no answer yet"
+        is_closed = self._core.phase is Phase.CLOSED
+        why = "it was closed" if is_closed else self._core.last_failure or "no answer yet"
         return UnreachableError(f"No stream of {self._core.user}: {why}.")
 
     def _start_recording(self, trial: str | None, label: str | None) -> Taking:
+        label = check_label(label)
+        trial = str(uuid4()) if trial is None else check_trial(trial)
         with self._lock:
-            taking = self._core.taking
+            taking = self._core.outgoing.taking
             if taking is not None and not taking.status.is_over:
                 raise RecordingError(
                     "trial_conflict", f"Trial {taking.status.trial} is being recorded; stop it."
                 )
-            taking = self._core.start_recording(trial or str(uuid4()), label, self._now())
+            taking = self._core.outgoing.start_recording(trial, label, self._now())
         self._link.wake()
         return taking
 
@@ -225,18 +234,23 @@ class RecordingBase:
         """Begin a clip; `action` names what the person does. Never waits.
 
         The first clip is there from the start, and is only named while it has no frame.
+
+        Raises:
+            ValueError: the name is empty, too long, or has control characters.
         """
-        self._do(lambda core: core.start_clip(action))
+        check_label(action)
+        self._do(lambda outgoing: outgoing.start_clip(action))
 
     def pause(self) -> None:
         """End the clip: frames are forecast and not recorded until the next one. Never waits."""
-        self._do(lambda core: core.stop_clip())
+        self._do(lambda outgoing: outgoing.stop_clip())
 
-    def _do(self, act: Callable[[Core], None]) -> None:
+    def _do(self, act: Callable[[Outgoing], None]) -> None:
         stream = self._stream
         with stream._lock:  # noqa: SLF001 - the two are one
-            if stream._core.taking is self._taking:  # noqa: SLF001
-                act(stream._core)  # noqa: SLF001
+            outgoing = stream._core.outgoing  # noqa: SLF001
+            if outgoing.taking is self._taking:
+                act(outgoing)
         stream._link.wake()  # noqa: SLF001
 
     def _judge(self) -> RecordingStatus:
