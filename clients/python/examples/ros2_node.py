@@ -13,10 +13,11 @@ It publishes
   /humans/bodies/<id>/forecast/skeleton2d
   TF: <sensor's frame> -> body_<id>         as observed
 
-by REP 155 (people), REP 103 (axes) and REP 105 (frames: the sensor's own place in them is its
-driver's business). Skeletons in the picture need --camera-info. Publishers are reliable and keep
-the last message only, so that a slow subscriber gets what is new; the tracker is listened to with
-best effort, which takes any publisher.
+by REP 155 (people) and REP 103 (units, axes of the body). Positions stay in the frame of the
+tracker's markers, which TF knows; where that is in the robot (REP 105) is the driver's business.
+Skeletons in the picture need --camera-info. Publishers are reliable and keep the last message only,
+so that a slow subscriber gets what is new; the tracker is listened to with best effort, which takes
+any publisher.
 
   KEY=kc_... python3 ros2_node.py --user ada --markers /body_tracking_data
 

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from kinecast_client.interop import ros
 from kinecast_client.interop.body import Skeleton
 from kinecast_client.interop.ros import Camera
 from kinecast_client.samples import waving_person
@@ -114,6 +115,27 @@ def test_observed_body_is_announced_by_rep_155(rig):
     [body] = rig.transforms
     assert body["header"]["frame_id"] == "depth_camera_link"
     assert body["child_frame_id"] == "body_ada"
+
+
+def test_positions_stay_in_the_trackers_frame(rig):
+    pose = make_pose()
+    rig.bridge.observe(make_markers(pose), NOW)
+    rig.bridge.forecast(forecast_of(pose))
+    [body] = rig.transforms
+    hips = pose[[AZURE.joints.index("HIP_LEFT"), AZURE.joints.index("HIP_RIGHT")]].mean(axis=0)
+    assert list(body["transform"]["translation"].values()) == pytest.approx(hips)
+    [trajectory] = [message for topic, _, message in rig.published if topic == "~/forecast"]
+    assert trajectory["header"]["frame_id"] == "depth_camera_link"
+    first = trajectory["points"][0]["transforms"][0]["translation"]
+    assert list(first.values()) == pytest.approx(pose[0], abs=1e-6)
+
+
+def test_angles_are_the_same_in_whichever_frame_the_tracker_sees(rig):
+    pose = make_pose()
+    rig.bridge.observe(make_markers(pose), NOW)
+    [(_, _, state)] = [one for one in rig.published if one[0].endswith("joint_states")]
+    turned = ros.make_joint_state(pose, NOW, skeleton=rig.bridge.skeleton, up="-y", body="ada")
+    assert state["position"] == pytest.approx(turned["position"], abs=1e-6)
 
 
 def test_forecast_is_published_for_rviz_planners_and_people_aware_nodes(rig):
