@@ -1,5 +1,6 @@
 """The client for programs with an event loop."""
 
+import asyncio
 import time
 import weakref
 from collections.abc import Callable, Sequence
@@ -82,7 +83,7 @@ class AsyncClient:
         """Tell whether the service can forecast now."""
         try:
             call = Call("GET", "/readyz", bytes)
-            return (await self._request(call, self._timeout_s)).is_success
+            return (await self._request(call, self._timeout_s))[0] == httpx.codes.OK
         except UnreachableError:
             return False
 
@@ -170,22 +171,17 @@ class AsyncClient:
         return stream
 
     async def _send(self, call: Call[Answer], timeout_s: float | None = None) -> Answer:
-        answer = await self._request(call, self._timeout_s if timeout_s is None else timeout_s)
-        return read_answer(answer.status_code, answer.headers, answer.content, call.read)
+        status, headers, content = await self._request(call, timeout_s or self._timeout_s)
+        return read_answer(status, headers, content, call.read)
 
-    async def _request(self, call: Call[Answer], timeout_s: float) -> httpx.Response:
+    async def _request(
+        self, call: Call[Answer], timeout_s: float
+    ) -> tuple[int, httpx.Headers, bytes]:
         try:
-            return await self._http.request(
-                call.method,
-                call.path,
-                content=call.content,
-                data=dict(call.fields) or None,
-                files=list(call.files) or None,
-                headers=dict(call.headers),
-                params={name: value for name, value in call.query.items() if value is not None},
-                timeout=timeout_s,
-            )
-        except httpx.TimeoutException:
+            asked = self._http.request(**call.to_httpx(), timeout=None)
+            answer = await asyncio.wait_for(asked, timeout_s)
+        except asyncio.TimeoutError:
             raise DeadlineError(f"{self.url} did not answer within {timeout_s:g} s.") from None
-        except httpx.TransportError as error:
+        except httpx.RequestError as error:
             raise UnreachableError(f"Nobody answers at {self.url}: {error}.") from error
+        return answer.status_code, answer.headers, answer.content

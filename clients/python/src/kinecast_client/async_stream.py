@@ -240,12 +240,12 @@ class AsyncRecording(RecordingBase):
             DeadlineError: it was not stored in time; it will be once the service can be reached.
             StoppedError: the stream ended for good.
         """
-        self._do(lambda core: core.stop_recording(finetune=finetune))
+        self._do(lambda outgoing: outgoing.end_recording("trial.stop", finetune=finetune))
         return await self._await_end(timeout_s)
 
     async def cancel(self, *, timeout_s: float = STOP_S) -> RecordingStatus:
         """Throw it away; raises as `stop` does."""
-        self._do(lambda core: core.cancel_recording())
+        self._do(lambda outgoing: outgoing.end_recording("trial.cancel"))
         return await self._await_end(timeout_s)
 
     async def _await_end(self, timeout_s: float) -> RecordingStatus:

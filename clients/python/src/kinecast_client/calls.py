@@ -54,6 +54,18 @@ class Call(Generic[Answer]):
     headers: Mapping[str, str] = field(default_factory=dict)
     query: Mapping[str, str | int | None] = field(default_factory=dict)
 
+    def to_httpx(self) -> dict[str, Any]:
+        """Give it as arguments of `httpx.Client.stream`."""
+        return {
+            "method": self.method,
+            "url": self.path,
+            "content": self.content,
+            "data": dict(self.fields) or None,
+            "files": list(self.files) or None,
+            "headers": dict(self.headers),
+            "params": {name: value for name, value in self.query.items() if value is not None},
+        }
+
 
 def forecast(
     user: str,

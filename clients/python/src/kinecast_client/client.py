@@ -89,7 +89,9 @@ class Client:
     def is_ready(self) -> bool:
         """Tell whether the service can forecast now."""
         try:
-            return self._request(Call("GET", "/readyz", bytes), self._timeout_s).is_success
+            return (
+                self._request(Call("GET", "/readyz", bytes), self._timeout_s)[0] == httpx.codes.OK
+            )
         except UnreachableError:
             return False
 
@@ -184,25 +186,23 @@ class Client:
             return self._loop.loop
 
     def _send(self, call: Call[Answer], timeout_s: float | None = None) -> Answer:
-        answer = self._request(call, self._timeout_s if timeout_s is None else timeout_s)
-        return read_answer(answer.status_code, answer.headers, answer.content, call.read)
+        status, headers, content = self._request(call, timeout_s or self._timeout_s)
+        return read_answer(status, headers, content, call.read)
 
-    def _request(self, call: Call[Answer], timeout_s: float) -> httpx.Response:
+    def _request(self, call: Call[Answer], timeout_s: float) -> tuple[int, httpx.Headers, bytes]:
+        deadline = time.monotonic() + timeout_s
         try:
-            return self._http.request(
-                call.method,
-                call.path,
-                content=call.content,
-                data=dict(call.fields) or None,
-                files=list(call.files) or None,
-                headers=dict(call.headers),
-                params={name: value for name, value in call.query.items() if value is not None},
-                timeout=timeout_s,
-            )
+            with self._http.stream(**call.to_httpx(), timeout=timeout_s) as response:
+                content = bytearray()
+                for part in response.iter_bytes():  # an answer may trickle in
+                    content += part
+                    if time.monotonic() > deadline:
+                        raise httpx.ReadTimeout("the answer is too slow")
         except httpx.TimeoutException:
             raise DeadlineError(f"{self.url} did not answer within {timeout_s:g} s.") from None
-        except httpx.TransportError as error:
+        except httpx.RequestError as error:
             raise UnreachableError(f"Nobody answers at {self.url}: {error}.") from error
+        return response.status_code, response.headers, bytes(content)
 
 
 class _LoopThread:

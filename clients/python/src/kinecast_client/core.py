@@ -7,21 +7,18 @@ usable forecast come out. Whoever carries it out dials when `phase` says so, han
 
 import math
 import random
-from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from enum import Enum
 from hashlib import sha256
-from typing import Literal
 
-from kinecast_client import frames
 from kinecast_client.clock import Moment, ServerClock
 from kinecast_client.errors import FINAL_CLOSES, StoppedError, find_stop
 from kinecast_client.events import Connected, Disconnected, Event, Stopped
 from kinecast_client.forecasts import Forecast, Version
 from kinecast_client.frames import Array
 from kinecast_client.greeting import find_flaw, find_refusal
-from kinecast_client.incoming import Held, Questions, Sent, find_age, read_forecast
+from kinecast_client.incoming import Incoming, Sent
 from kinecast_client.messages import (
     Bye,
     Configured,
@@ -40,19 +37,14 @@ from kinecast_client.messages import (
     Wire,
     WireForecast,
 )
-from kinecast_client.pace import Pace
+from kinecast_client.outgoing import MAX_RATE_HZ, Outgoing
 from kinecast_client.pulse import Pulse
-from kinecast_client.recordings import Taking
 from kinecast_client.rules import Rules
 from kinecast_client.statistics import Statistics, Tally
-from kinecast_client.tape import Frame, Mark, Tape
 
 MAX_MESSAGE_BYTES = 4 * 2**20
-MAX_RATE_HZ = 120.0
 BROKEN = 1006
 _CODES_KEPT = 64
-_CONTROLS_KEPT = 32
-_RECORDING_ERRORS = ("trial_", "unknown_trial", "forbidden")
 
 
 class Phase(Enum):
@@ -105,19 +97,11 @@ class Core:
         self.version: Version | None = None
         self.hang_up: str | None = None
         self.retry_at = -math.inf
-        self.generation = 0
-        self.clock = ServerClock()
-        self.taking: Taking | None = None
-        self.tally = Tally()
-        self.user, self._session, self._joints = user, session, joints
-        self._read_now, self._draw = read_now, draw
-        self._tape, self._questions = Tape(), Questions()
-        self._pace = Pace(MAX_RATE_HZ)
-        self._held: Held | None = None
-        self._next_seq = 0
-        self._last_t: float | None = None
-        self._answered_seq = -1
-        self._controls: deque[str | bytes] = deque(maxlen=_CONTROLS_KEPT)
+        self.clock, self.tally = ServerClock(), Tally()
+        count = None if joints is None else len(joints)
+        self.outgoing = Outgoing(self.wire, self.tally, joint_count=count)
+        self._incoming = Incoming(self.wire, self.rules, self.tally, read_now=read_now)
+        self.user, self._session, self._joints, self._draw = user, session, joints, draw
         self._pulse = Pulse(self.rules, self.clock, Moment(0.0, 0.0))
         self._failures = 0
         self._since = -math.inf
@@ -125,12 +109,15 @@ class Core:
         self._fault: ServiceError | None = None
         self._was_good = False
 
-    # what the caller does
+    @property
+    def generation(self) -> int:
+        """How many forecasts were accepted: whoever has seen as many waits for the next."""
+        return self._incoming.generation
 
     @property
-    def joint_count(self) -> int | None:
-        """How many joints a frame has; None before that is known."""
-        return None if self._joints is None else len(self._joints)
+    def is_over(self) -> bool:
+        """Whether nothing happens any more."""
+        return self.phase in {Phase.STOPPED, Phase.CLOSED}
 
     def offer(
         self, joints: Array | None, t: float | None, confidence: Array | None, now: Moment
@@ -140,31 +127,14 @@ class Core:
         Raises:
             FrameError: it has another shape than a frame.
         """
-        pose = frames.read_joints(joints, self.joint_count)
-        weights = frames.read_confidence(confidence, None if pose is None else len(pose))
-        if self.phase in {Phase.STOPPED, Phase.CLOSED}:
-            self._refuse("stopped")
+        if self.is_over:
+            self.outgoing.refuse("stopped")
             return None
-        time = now.frame if t is None else float(t)
-        flaw = frames.find_flaw(pose)
-        flaw = flaw or frames.find_wrong_time(time, self._last_t, self._max_rate_hz)
-        if flaw is not None:
-            self._refuse(flaw)
-            return None
-        if self._last_t is not None and time < self._last_t:
-            self._cut()
-        seq, self._next_seq, self._last_t = self._next_seq, self._next_seq + 1, time
-        recorded = self.taking is not None and self.taking.takes_frames
-        self._tape.add(seq, time, pose, weights, now=now.mono, recorded=recorded)
-        self.tally.offered += 1
-        return seq
+        return self.outgoing.offer(joints, t, confidence, now)
 
     def latest(self, now: Moment) -> Forecast | None:
         """Give the newest forecast that may be used now, None where there is none."""
-        held = self._held
-        if held is None or not -1e-9 <= now.mono - held.received_at <= self.rules.hold_s:
-            return None
-        return held.forecast if held.find_age(now) <= self.rules.max_age_s else None
+        return self._incoming.latest(floor=self.outgoing.floor, now=now)
 
     def configure(self, settings: Settings) -> None:
         """Change how forecasts are made, on this connection and those to come."""
@@ -172,47 +142,16 @@ class Core:
         if self.phase is Phase.OPEN:
             self._configure()
 
-    def reset(self) -> None:
-        """Forget the window, here and there: the frame of reference jumped."""
-        self._cut()
-        self._tape.mark("reset", self._next_seq - 1)
-
-    def start_recording(self, trial: str, label: str | None, now: Moment) -> Taking:
-        """Begin to record what is offered from now on; another recording must be over."""
-        self.taking = Taking(trial, now=now.mono)
-        fields = {"trial": trial} if label is None else {"trial": trial, "label": label}
-        self._tape.open_recording("trial.start", **fields)
-        return self.taking
-
-    def start_clip(self, action: str | None) -> None:
-        """Begin a clip of the recording."""
-        self._mark_recording("clip.start", **({} if action is None else {"action": action}))
-        self._set_in_clip(is_in=True)
-
-    def stop_clip(self) -> None:
-        """End the clip of the recording."""
-        self._mark_recording("clip.stop")
-        self._set_in_clip(is_in=False)
-
-    def stop_recording(self, *, finetune: bool) -> None:
-        """End the recording."""
-        self._end_recording("trial.stop", finetune=finetune)
-
-    def cancel_recording(self) -> None:
-        """Throw the recording away."""
-        self._end_recording("trial.cancel")
-
     def close(self) -> None:
         """End the stream from our side; one that stopped by itself stays stopped."""
-        self._held = None
+        self._incoming.forget_answer()
         if self.phase is not Phase.STOPPED:
             self.phase = Phase.CLOSED
 
     def sum_up(self) -> Statistics:
         """Give the figures as of now."""
-        return self.tally.sum_up(unsent=self._tape.unsent, unrecorded=self._tape.unrecorded)
-
-    # what happens to the connection
+        tape = self.outgoing.tape
+        return self.tally.sum_up(unsent=tape.unsent, unrecorded=tape.unrecorded)
 
     def query(self) -> dict[str, str | int | float]:
         """Give the parameters of the stream's URL."""
@@ -233,8 +172,8 @@ class Core:
         self.phase, self.hang_up, self._since = Phase.DIALLING, None, now.mono
         self._bye = self._fault = None
         self._was_good = False
-        self._questions.forget()
-        self._controls.clear()
+        self._incoming.forget_questions()
+        self.outgoing.dial()
         return self.connection
 
     def connected(self, connection: int) -> None:
@@ -270,9 +209,6 @@ class Core:
         self._pulse.hear()
         if self.phase is Phase.GREETING:
             return self._greet(message, now)
-        if isinstance(message, WireForecast):
-            self._take_forecast(message, now)
-            return []
         return self._hear(message, now)
 
     def tick(self, now: Moment) -> None:
@@ -287,31 +223,14 @@ class Core:
         """Give what is to be sent now, None where nothing is or may be."""
         if self.phase is not Phase.OPEN or self.hang_up is not None:
             return None
-        if not self._pace.has_room(now.mono):
+        message = self.outgoing.take(now)
+        if message is None:
             return None
-        if self._controls:
-            data: str | bytes | None = self._controls.popleft()
-        else:
-            item = self._tape.take()
-            data = None if item is None else self._write(item, now)
-        if data is not None:
-            self._pace.spend()
-        return data
-
-    # how it does that
-
-    @property
-    def _max_rate_hz(self) -> float:
-        return self._pace.rate_hz
-
-    def _refuse(self, reason: str) -> None:
-        self.tally.refused[reason] += 1
-
-    def _cut(self) -> None:
-        """Take no forecast any more of what was offered until now."""
-        self._held = None
-        self._answered_seq = max(self._answered_seq, self._next_seq - 1)
-        self._tape.cut()
+        frame = message.frame
+        if frame is not None and not frame.replay:
+            self._incoming.ask(frame.seq, Sent(frame.t, frame.offered_at))
+            self._pulse.ask(now)
+        return message.data
 
     def _decode(self, data: str | bytes) -> Message | Other | None:
         if len(data) <= MAX_MESSAGE_BYTES:
@@ -339,20 +258,23 @@ class Core:
     def _open(self, hello: Hello, now: Moment) -> list[Event]:
         self.phase, self.hello, self._joints = Phase.OPEN, hello, hello.joints
         self._since, self._pulse = now.mono, Pulse(self.rules, self.clock, now)
-        self.version, self.waiting, self._held = hello.version, None, None
+        self.version, self.waiting = hello.version, None
+        self._incoming.forget_answer()
         self.tally.connections += 1
-        rate_hz = hello.limits.get("max_rate_hz", MAX_RATE_HZ)
-        is_rate = isinstance(rate_hz, int | float) and 0 < rate_hz < math.inf
-        self._pace = Pace(float(rate_hz) if is_rate else MAX_RATE_HZ)
+        given = hello.limits.get("max_rate_hz", MAX_RATE_HZ)
+        is_rate = isinstance(given, int | float) and 1 <= given < math.inf
+        rate_hz = float(given) if is_rate else MAX_RATE_HZ
         if hello.settings != self.settings:
             self._configure()
-        self._tape.rewind(now.mono)
+        self.outgoing.rewind(now, joint_count=len(hello.joints), rate_hz=rate_hz)
         return [Connected(hello)]
 
     def _hear(self, message: Message | Other, now: Moment) -> list[Event]:
         match message:
+            case WireForecast():
+                self._take_forecast(message, now)
             case Ping():
-                self._say("pong", id=message.id, server_t=message.server_t, t=now.frame)
+                self.outgoing.say("pong", id=message.id, server_t=message.server_t, t=now.frame)
             case Pong():
                 self._learn(message, now)
             case Bye():
@@ -366,7 +288,7 @@ class Core:
                 self._note_error(message)
                 return [message]
             case TrialNews():
-                self._note_trial(message, now)
+                self.outgoing.hear_trial(message, now)
                 return [message]
             case _:
                 pass
@@ -382,76 +304,22 @@ class Core:
         self.last_error = self._fault = error
         known = error.code in self.tally.errors or len(self.tally.errors) < _CODES_KEPT
         self.tally.errors[error.code if known else "others"] += 1
-        taking = self.taking
-        is_ours = error.code.startswith(_RECORDING_ERRORS)
-        if is_ours and taking is not None and not taking.status.is_over:
-            taking.fail(error)
-            self._settle(taking)
-
-    def _note_trial(self, news: TrialNews, now: Moment) -> None:
-        taking = self.taking
-        if taking is None or news.trial != taking.status.trial or taking.status.is_over:
-            return
-        taking.hear(news, now.mono)
-        self._tape.reopen_recording("trial.resume", trial=news.trial)
-        self._tape.confirm(news.stored_seq)
-        self._settle(taking)
-
-    def _settle(self, taking: Taking) -> None:
-        if taking.status.is_over:
-            self._tape.close_recording()
+        self.outgoing.hear_error(error)
 
     def _take_forecast(self, message: WireForecast, now: Moment) -> None:
-        """Keep a forecast if it may be used; count it in any case."""
-        sent = self._questions.find(message.seq)
-        if self.hello is None or sent is None:
-            self.tally.mismatched += 1
-            return
-        outcome = read_forecast(self.wire, message, self.hello, sent, read_now=self._read_now)
-        if outcome == "malformed":
-            self.tally.malformed += 1
-        elif not isinstance(outcome, Forecast):
-            self.tally.mismatched += 1
-        elif message.seq <= self._answered_seq or find_age(sent, now) > self.rules.max_age_s:
-            self.tally.late += 1
-        else:
-            self._hold(Held(outcome, sent, now.mono), message, now)
-
-    def _hold(self, held: Held, message: WireForecast, now: Moment) -> None:
-        self._held, self._answered_seq, self.waiting = held, message.seq, None
-        self._was_good = True
-        self.generation += 1
-        tally = self.tally
-        tally.forecasts += 1
-        tally.skipped += max(0, message.skipped)
-        tally.not_due += max(0, message.not_due)
-        tally.age_ms.append(held.find_age(now) * 1e3)
-        tally.response_ms.append((now.mono - held.sent.offered_at) * 1e3)
-        tally.service_ms.append(message.timing.total_ms)
-
-    def _write(self, item: Frame | Mark, now: Moment) -> str | bytes | None:
-        """Turn what comes off the tape into a message; None for a frame of another skeleton."""
-        if isinstance(item, Mark):
-            return self.wire.encode(item.kind, **item.fields)
-        if item.joints is not None and len(item.joints) != self.joint_count:
-            self._refuse("wrong_joint_count")
-            return None
-        self.tally.sent += 1
-        if not item.replay:
-            self._questions.note(item.seq, Sent(item.t, item.offered_at))
-            self._pulse.ask(now)
-        return self.wire.encode_frame(
-            item.seq, item.t, item.joints, item.confidence, replay=item.replay
-        )
+        floor = self.outgoing.floor
+        if self.hello is not None and self._incoming.take(
+            message, self.hello, floor=floor, now=now
+        ):
+            self._was_good, self.waiting = True, None
 
     def _watch(self, now: Moment) -> None:
         """Ask for signs of life, and give up where there is none."""
         self.hang_up = self.hang_up or self._pulse.find_silence(now)
         ping = self._pulse.ping(now)
         if ping is not None:
-            self._say("ping", id=ping, t=now.frame)
-        if self.taking is not None and self.taking.is_quiet(now.mono):
-            self._tape.repeat_opening()
+            self.outgoing.say("ping", id=ping, t=now.frame)
+        self.outgoing.tick(now)
 
     def _learn(self, pong: Pong, now: Moment) -> None:
         rtt_s = self._pulse.learn(pong, now)
@@ -460,22 +328,7 @@ class Core:
 
     def _configure(self) -> None:
         names = Settings.__struct_fields__
-        self._say("configure", **{name: getattr(self.settings, name) for name in names})
-
-    def _say(self, kind: str, **fields: object) -> None:
-        self._controls.append(self.wire.encode(kind, **fields))
-
-    def _mark_recording(self, kind: Literal["clip.start", "clip.stop"], **fields: object) -> None:
-        self._tape.mark(kind, self._next_seq - 1, **fields)
-
-    def _set_in_clip(self, *, is_in: bool) -> None:
-        if self.taking is not None:
-            self.taking.in_clip = is_in
-
-    def _end_recording(self, kind: str, **fields: object) -> None:
-        if self.taking is not None and not self.taking.status.is_over:
-            self._tape.mark(kind, self._next_seq - 1, **fields)
-            self.taking.end()
+        self.outgoing.say("configure", **{name: getattr(self.settings, name) for name in names})
 
     def _explain(self, reason: str) -> tuple[str, str]:
         """Give the code and the text of why the service closed the connection."""
@@ -486,7 +339,8 @@ class Core:
         return code, "The service closed the stream."
 
     def _stop(self, error: StoppedError) -> list[Event]:
-        self.phase, self.stop_error, self._held = Phase.STOPPED, error, None
+        self.phase, self.stop_error = Phase.STOPPED, error
+        self._incoming.forget_answer()
         self.last_failure = str(error)
         return [Stopped(error)]
 

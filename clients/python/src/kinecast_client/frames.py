@@ -50,6 +50,18 @@ def read_confidence(confidence: Array | None, count: int | None) -> npt.NDArray[
     return np.clip(np.nan_to_num(values, nan=0.0), 0.0, 1.0)
 
 
+def read_time(t: object) -> float:
+    """Read the time of a frame in seconds.
+
+    Raises:
+        FrameError: it is no number.
+    """
+    try:
+        return float(t)  # type: ignore[arg-type]
+    except (TypeError, ValueError) as error:
+        raise FrameError(f"t must be a number of seconds: {error}.") from None
+
+
 def find_flaw(pose: npt.NDArray[np.float32] | None) -> str | None:
     """Tell why the service would refuse these coordinates, None where it would not."""
     if pose is None:

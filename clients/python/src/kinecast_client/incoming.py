@@ -2,7 +2,6 @@
 
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Literal, NamedTuple, cast
 
 import numpy as np
@@ -11,12 +10,14 @@ import numpy.typing as npt
 from kinecast_client.clock import Moment
 from kinecast_client.forecasts import Forecast, Severity
 from kinecast_client.messages import Hello, Wire, WireForecast
+from kinecast_client.rules import Rules
+from kinecast_client.statistics import Tally
 
 _REMEMBERED = 1024
 _TIME_SLACK_S = 1e-5
 _SEVERITIES = frozenset({"info", "degraded", "unsafe"})
 
-Flaw = Literal["malformed", "mismatched", "late"]
+Flaw = Literal["malformed", "mismatched"]
 
 
 class Sent(NamedTuple):
@@ -31,38 +32,92 @@ class Sent(NamedTuple):
     offered_at: float
 
 
-class Questions:
-    """The frames of this connection that may be answered."""
-
-    def __init__(self) -> None:
-        self._sent: OrderedDict[int, Sent] = OrderedDict()
-
-    def note(self, seq: int, sent: Sent) -> None:
-        """Note that a frame left."""
-        self._sent[seq] = sent
-        if len(self._sent) > _REMEMBERED:
-            self._sent.popitem(last=False)
-
-    def find(self, seq: int) -> Sent | None:
-        """Give what was sent under a number, None where nothing was."""
-        return self._sent.get(seq)
-
-    def forget(self) -> None:
-        """Take no answer to what was sent until now."""
-        self._sent.clear()
-
-
-@dataclass(slots=True)
-class Held:
+class Held(NamedTuple):
     """A forecast that was accepted, and what its age is reckoned from."""
 
     forecast: Forecast
+    seq: int
     sent: Sent
     received_at: float
 
-    def find_age(self, now: Moment) -> float:
-        """Give its age in seconds."""
-        return find_age(self.sent, now)
+
+class Incoming:
+    """What was asked on this connection, and the newest answer that may be used.
+
+    Args:
+        wire: the subprotocol.
+        rules: when a forecast is too old.
+        tally: where to count.
+        read_now: both clocks, for the age of forecasts in the hands of the caller only.
+
+    Attributes:
+        generation: how many forecasts were accepted.
+    """
+
+    def __init__(
+        self, wire: Wire, rules: Rules, tally: Tally, *, read_now: Callable[[], Moment]
+    ) -> None:
+        self.generation = 0
+        self._wire, self._rules, self._tally, self._read_now = wire, rules, tally, read_now
+        self._asked: OrderedDict[int, Sent] = OrderedDict()
+        self._held: Held | None = None
+        self._answered_seq = -1
+
+    def ask(self, seq: int, sent: Sent) -> None:
+        """Note that a frame left which may be answered."""
+        self._asked[seq] = sent
+        if len(self._asked) > _REMEMBERED:
+            self._asked.popitem(last=False)
+
+    def forget_questions(self) -> None:
+        """Take no answer any more to what was sent until now."""
+        self._asked.clear()
+
+    def forget_answer(self) -> None:
+        """Hand out nothing any more of what came until now."""
+        self._held = None
+
+    def take(self, message: WireForecast, hello: Hello, *, floor: int, now: Moment) -> bool:
+        """Keep a forecast if it may be used, and tell whether it may; count it in any case.
+
+        `floor` is the lowest number of a frame whose forecast is still wanted.
+        """
+        sent = self._asked.get(message.seq)
+        if sent is None:
+            self._tally.mismatched += 1
+            return False
+        outcome = read_forecast(self._wire, message, hello, sent, read_now=self._read_now)
+        if outcome == "malformed":
+            self._tally.malformed += 1
+        elif outcome == "mismatched":
+            self._tally.mismatched += 1
+        elif message.seq < max(floor, self._answered_seq + 1) or self._is_old(sent, now):
+            self._tally.late += 1
+        else:
+            self._hold(outcome, message.seq, sent, now)
+            return True
+        return False
+
+    def latest(self, *, floor: int, now: Moment) -> Forecast | None:
+        """Give the newest forecast that may be used now, None where there is none."""
+        held = self._held
+        if held is None or held.seq < floor or now.mono - held.received_at > self._rules.hold_s:
+            return None
+        return None if self._is_old(held.sent, now) else held.forecast
+
+    def _is_old(self, sent: Sent, now: Moment) -> bool:
+        return find_age(sent, now) > self._rules.max_age_s
+
+    def _hold(self, forecast: Forecast, seq: int, sent: Sent, now: Moment) -> None:
+        self._held, self._answered_seq = Held(forecast, seq, sent, now.mono), seq
+        self.generation += 1
+        tally = self._tally
+        tally.forecasts += 1
+        tally.skipped += max(0, forecast.skipped)
+        tally.not_due += max(0, forecast.not_due)
+        tally.age_ms.append(find_age(sent, now) * 1e3)
+        tally.response_ms.append((now.mono - sent.offered_at) * 1e3)
+        tally.service_ms.append(forecast.timing.total_ms)
 
 
 def find_age(sent: Sent, now: Moment) -> float:

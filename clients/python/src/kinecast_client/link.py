@@ -98,7 +98,7 @@ class Link:
 
     def _is_over(self) -> bool:
         with self._lock:
-            return self.core.phase in {Phase.STOPPED, Phase.CLOSED}
+            return self.core.is_over
 
     async def _rest(self) -> None:
         with self._lock:

@@ -1,5 +1,6 @@
 """A recording as the client knows it: a state machine; the frames are on the tape."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, cast
 
@@ -49,15 +50,23 @@ class Taking:
         self.in_clip = True
         self.code = "failed"
         self._heard_at = now
+        self._end: Callable[[], None] | None = None
 
     @property
     def takes_frames(self) -> bool:
         """Whether a frame that is handed over now belongs to it."""
         return self.in_clip and self.status.state in {"starting", "recording"}
 
-    def end(self) -> None:
-        """Note that its end was asked for."""
+    def end(self, ask: Callable[[], None]) -> None:
+        """Ask for its end; `ask` may be called again where no answer comes."""
+        self._end = ask
         self._change(state="ending")
+        ask()
+
+    def repeat_end(self) -> None:
+        """Ask for its end once more, if that was asked for."""
+        if self._end is not None:
+            self._end()
 
     def hear(self, news: TrialNews, now: float) -> None:
         """Take note of what the service says of it."""

@@ -18,6 +18,7 @@ from kinecast_client.forecasts import Forecast, Version
 from kinecast_client.frames import Array
 from kinecast_client.link import Link, Target
 from kinecast_client.messages import Form, Hello, ServiceError, Settings
+from kinecast_client.outgoing import Outgoing
 from kinecast_client.recordings import RecordingStatus, Taking
 from kinecast_client.rules import Rules
 from kinecast_client.statistics import Statistics
@@ -127,7 +128,7 @@ class StreamBase:
         No forecast of the frames before is handed out any more.
         """
         with self._lock:
-            self._core.reset()
+            self._core.outgoing.reset()
         self._link.wake()
 
     def statistics(self) -> Statistics:
@@ -195,12 +196,12 @@ class StreamBase:
 
     def _start_recording(self, trial: str | None, label: str | None) -> Taking:
         with self._lock:
-            taking = self._core.taking
+            taking = self._core.outgoing.taking
             if taking is not None and not taking.status.is_over:
                 raise RecordingError(
                     "trial_conflict", f"Trial {taking.status.trial} is being recorded; stop it."
                 )
-            taking = self._core.start_recording(trial or str(uuid4()), label, self._now())
+            taking = self._core.outgoing.start_recording(trial or str(uuid4()), label, self._now())
         self._link.wake()
         return taking
 
@@ -226,17 +227,18 @@ class RecordingBase:
 
         The first clip is there from the start, and is only named while it has no frame.
         """
-        self._do(lambda core: core.start_clip(action))
+        self._do(lambda outgoing: outgoing.start_clip(action))
 
     def pause(self) -> None:
         """End the clip: frames are forecast and not recorded until the next one. Never waits."""
-        self._do(lambda core: core.stop_clip())
+        self._do(lambda outgoing: outgoing.stop_clip())
 
-    def _do(self, act: Callable[[Core], None]) -> None:
+    def _do(self, act: Callable[[Outgoing], None]) -> None:
         stream = self._stream
         with stream._lock:  # noqa: SLF001 - the two are one
-            if stream._core.taking is self._taking:  # noqa: SLF001
-                act(stream._core)  # noqa: SLF001
+            outgoing = stream._core.outgoing  # noqa: SLF001
+            if outgoing.taking is self._taking:
+                act(outgoing)
         stream._link.wake()  # noqa: SLF001
 
     def _judge(self) -> RecordingStatus:

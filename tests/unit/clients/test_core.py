@@ -1,0 +1,474 @@
+"""The stream's state machine: connections, silence, and what is sent."""
+
+import math
+
+import numpy as np
+import pytest
+from kinecast_client.core import Phase
+from kinecast_client.errors import (
+    FINAL_CLOSES,
+    FencedError,
+    FrameError,
+    RefusedError,
+    UserDeletedError,
+)
+from kinecast_client.events import Connected, Disconnected, Stopped
+from kinecast_client.messages import Settings
+from kinecast_client.rules import Rules
+
+from tests.unit.clients.rig import JOINTS, POSE, SETTINGS, Rig
+
+
+@pytest.fixture
+def rig() -> Rig:
+    rig = Rig()
+    rig.connect()
+    return rig
+
+
+def test_a_hello_opens_the_stream():
+    rig = Rig()
+    assert rig.core.outgoing.joint_count is None
+    (event,) = rig.connect()
+    assert isinstance(event, Connected)
+    assert rig.core.phase is Phase.OPEN
+    assert rig.core.outgoing.joint_count == len(JOINTS)
+
+
+def test_frames_leave_in_order_with_rising_numbers(rig):
+    assert [rig.stream()[0] for _ in range(3)] == [0, 1, 2]
+    rig.now += 1 / 30
+    rig.offer()
+    (frame,) = rig.frames()
+    assert (frame["seq"], frame["t"]) == (3, rig.now)
+    assert frame["joints"] == POSE.tolist()
+    assert "replay" not in frame
+
+
+def test_nothing_is_sent_before_the_hello():
+    rig = Rig()
+    rig.dial()
+    rig.offer()
+    assert rig.drain() == []
+
+
+def test_a_missing_joint_and_a_missing_person_are_null(rig):
+    rig.offer(joints=np.array([[math.nan, 1.0, 1.0], [1.0, 2.0, 3.0]]))
+    rig.now += 1 / 30
+    rig.offer(joints=None)
+    first, second = rig.frames()
+    assert first["joints"] == [None, [1.0, 2.0, 3.0]]
+    assert second["joints"] is None
+
+
+def test_the_caller_may_use_its_array_again_at_once(rig):
+    pose = POSE.copy()
+    rig.offer(joints=pose)
+    pose[:] = 99.0
+    assert rig.frames()[0]["joints"] == POSE.tolist()
+
+
+@pytest.mark.parametrize("joints", [np.zeros((3, 3)), np.zeros((2, 2)), "pose", [[1, 2, 3], [4]]])
+def test_what_is_no_frame_of_this_skeleton_raises(rig, joints):
+    with pytest.raises(FrameError):
+        rig.offer(joints=joints)
+
+
+def test_a_time_or_a_confidence_that_is_none_raises(rig):
+    with pytest.raises(FrameError):
+        rig.offer(t="noon")
+    with pytest.raises(FrameError):
+        rig.core.offer(POSE, None, [1.0], rig.moment())
+
+
+@pytest.mark.parametrize(
+    ("t", "joints", "reason"),
+    [
+        (math.nan, POSE, "bad_time"),
+        (math.inf, POSE, "bad_time"),
+        (0.0, POSE, "t_not_increasing"),
+        (-0.9, POSE, "t_not_increasing"),
+        (0.001, POSE, "too_fast"),
+        (0.05, np.full((2, 3), math.inf), "bad_frame"),
+        (0.05, POSE * 1000.0, "bad_frame"),
+    ],
+)
+def test_what_the_service_would_refuse_is_counted_and_not_sent(rig, t, joints, reason):
+    assert rig.offer(t=50.0) == 0
+    rig.drain()
+    assert rig.offer(t=50.0 + t, joints=joints) is None
+    assert rig.statistics.refused == {reason: 1}
+    assert rig.drain() == []
+
+
+def test_frames_of_another_skeleton_that_came_before_the_hello_are_dropped():
+    rig = Rig()
+    rig.offer(joints=np.zeros((20, 3)))
+    rig.connect()
+    assert rig.frames() == []
+    assert rig.statistics.refused == {"wrong_joint_count": 1}
+
+
+def test_a_forecast_is_handed_out_with_everything_it_says(rig):
+    (seq,) = rig.stream()
+    rig.answer(seq, severity="degraded", quality=["gap"], filled=["head"], skipped=2, not_due=1)
+    forecast = rig.latest
+    assert forecast.frames.shape == (15, 2, 3)
+    assert forecast.frames.dtype == np.float32
+    assert forecast.t == pytest.approx(rig.now + np.arange(1, 16) / 30)
+    assert forecast.radius.shape == (15, 2)
+    assert (forecast.seq, forecast.t_observed, forecast.joints) == (seq, rig.now, JOINTS)
+    assert (forecast.severity, forecast.quality, forecast.filled) == (
+        "degraded",
+        ("gap",),
+        ("head",),
+    )
+    assert (forecast.version.kind, forecast.coverage) == ("base", 0.9)
+    assert forecast.is_usable
+    assert forecast.joint("left_hand") == 1
+    with pytest.raises(KeyError, match="tail"):
+        forecast.joint("tail")
+    rig.now += 0.1
+    assert forecast.age_s == pytest.approx(0.1)
+    assert (rig.statistics.skipped, rig.statistics.not_due) == (2, 1)
+
+
+def test_a_severity_that_is_not_known_is_unsafe(rig):
+    (seq,) = rig.stream()
+    rig.answer(seq, severity="catastrophic")
+    assert rig.latest.severity == "unsafe"
+    assert not rig.latest.is_usable
+
+
+@pytest.mark.parametrize(("code", "kind"), [(4409, FencedError), (4410, UserDeletedError)])
+def test_final_closes_stop_it_with_the_reason(rig, code, kind):
+    (seq,) = rig.stream()
+    rig.answer(seq)
+    rig.hear("error", code="why", message="Because.", retryable=False, seq=None)
+    rig.hear("bye", reason="why", retry_after_s=0.0)
+    (event,) = rig.lose(code)
+    assert isinstance(event, Stopped)
+    assert type(event.error) is kind
+    assert (event.error.close_code, event.error.code, event.error.detail) == (
+        code,
+        "why",
+        "Because.",
+    )
+    assert rig.core.phase is Phase.STOPPED
+    assert rig.latest is None
+    assert rig.offer() is None
+    assert rig.statistics.refused == {"stopped": 1}
+
+
+@pytest.mark.parametrize("code", sorted(FINAL_CLOSES - {4409, 4410}))
+def test_refusals_stop_it_before_the_hello_too(code):
+    rig = Rig()
+    rig.dial()
+    rig.hear("error", code="forbidden", message="No.", retryable=False, seq=None)
+    rig.hear("bye", reason="forbidden", retry_after_s=0.0)
+    (event,) = rig.lose(code)
+    assert isinstance(event.error, RefusedError)
+    assert event.error.code == "forbidden"
+
+
+def test_an_error_that_was_forgiven_is_not_the_reason_of_the_end(rig):
+    rig.hear("error", code="bad_frame", message="Bad.", retryable=False, seq=3)
+    rig.hear("bye", reason="user_deleted", retry_after_s=0.0)
+    (event,) = rig.lose(4410)
+    assert event.error.code == "user_deleted"
+
+
+@pytest.mark.parametrize("code", [1000, 1001, 1006, 1009, 1011, 4408, 4429, 4499])
+def test_every_other_close_is_followed_by_another_try(rig, code):
+    (event,) = rig.lose(code)
+    assert isinstance(event, Disconnected)
+    assert event.close_code == code
+    assert rig.core.phase is Phase.RESTING
+    assert rig.core.retry_at == pytest.approx(rig.now + 0.1)
+
+
+def test_tries_come_at_doubling_intervals_until_one_is_good(rig):
+    delays = []
+    for _ in range(8):
+        (event,) = rig.lose()
+        delays.append(event.retry_in_s)
+        rig.connect()
+    assert delays == pytest.approx([0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5.0, 5.0])
+    (seq,) = rig.stream()
+    rig.answer(seq)
+    (event,) = rig.lose()
+    assert event.retry_in_s == pytest.approx(0.1)
+
+
+def test_a_connection_that_lasted_was_a_good_one(rig):
+    for _ in range(4):
+        rig.lose()
+        rig.connect()
+    for _ in range(6):
+        rig.wait(1.0)
+        rig.hear("pong", id=0, t=0.0, server_t=0.0, engine_ms=1.0)
+    (event,) = rig.lose()
+    assert event.retry_in_s == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("draw", [0.0, 0.5, 1.0])
+def test_waits_have_jitter_and_never_exceed_five_seconds(draw):
+    delays = [Rules().find_delay(failures, draw) for failures in (1, 2, 1000)]
+    assert delays == pytest.approx(
+        [most * (0.5 + draw / 2) for most in (0.1, 0.2, 5.0)],
+    )
+
+
+def test_a_service_that_says_too_fast_is_given_its_time(rig):
+    rig.hear("bye", reason="too_fast", retry_after_s=7.0)
+    (event,) = rig.lose(4429)
+    assert event.retry_in_s == pytest.approx(7.0)
+
+
+def test_a_draining_service_is_left_at_once(rig):
+    rig.hear("bye", reason="draining", retry_after_s=1.0)
+    (event,) = rig.lose(1001)
+    assert event.retry_in_s == pytest.approx(0.1)
+
+
+def test_a_new_connection_gets_settings_and_the_last_frames_again(rig):
+    rig.core.configure(Settings(forecast_every=3))
+    numbers = rig.stream(60)
+    rig.lose()
+    rig.connect()
+    first, *rest = rig.drain()
+    assert first == {"type": "configure", **SETTINGS, "forecast_every": 3}
+    assert [frame["seq"] for frame in rest] == numbers[-19:]  # 0.6 s
+    assert all(frame["replay"] for frame in rest)
+    assert rest[-1]["t"] - rest[0]["t"] == pytest.approx(0.6)
+
+
+def test_settings_that_the_service_has_already_are_not_sent(rig):
+    assert rig.drain() == []
+    rig.core.configure(Settings(coverage=0.5))
+    assert [message["coverage"] for message in rig.drain()] == [0.5]
+
+
+def test_settings_go_into_the_address_of_every_connection(rig):
+    rig.core.configure(Settings(forecast_every=2, coverage=0.5, version=3))
+    query = rig.core.query()
+    layout = query.pop("layout")
+    assert query == {"session": "s", "version": 3, "coverage": 0.5, "forecast_every": 2}
+    assert len(layout) == 64
+
+
+def test_a_frame_that_never_left_is_answered_by_the_next_connection(rig):
+    rig.stream(3)
+    rig.lose()
+    rig.now += 1 / 30
+    newest = rig.offer()
+    rig.connect()
+    *before, last = rig.drain()
+    assert all(frame["replay"] for frame in before)
+    assert last["seq"] == newest
+    assert "replay" not in last
+    rig.answer(newest)
+    assert rig.latest.seq == newest
+
+
+def test_a_frame_that_waited_too_long_is_not_answered(rig):
+    rig.lose()
+    rig.offer()
+    rig.now += 0.5
+    rig.connect()
+    (frame,) = rig.frames()
+    assert frame["replay"]
+
+
+def test_frames_from_before_a_long_break_are_not_sent_again(rig):
+    rig.stream(10)
+    rig.lose()
+    rig.now += 5.0
+    rig.connect()
+    assert rig.frames() == []
+
+
+def test_the_newest_frames_win_where_nothing_can_be_sent(rig):
+    for _ in range(90):  # three seconds of a link that takes nothing
+        rig.now += 1 / 30
+        newest = rig.offer()
+    waiting = rig.frames()
+    assert [frame["seq"] for frame in waiting] == list(range(newest - 18, newest + 1))
+    assert rig.statistics.unsent == 90 - 19
+
+
+def test_no_more_is_sent_than_the_service_reads(rig):
+    rig.lose()
+    rig.connect(limits={"max_rate_hz": 20.0})
+    sent = 0
+    for _ in range(100):
+        rig.now += 1 / 18.1
+        rig.offer()
+        sent += len(rig.drain())
+    assert sent <= 20 + 20 * 100 / 18.1
+
+
+def test_pings_of_the_service_are_answered_with_the_clock_of_the_frames(rig):
+    rig.skew = 77.0
+    rig.hear("ping", id=4, server_t=9.0)
+    assert rig.drain() == [{"type": "pong", "id": 4, "server_t": 9.0, "t": rig.now + 77.0}]
+
+
+def test_the_offset_of_the_clocks_is_that_of_the_quickest_pong(rig):
+    for delay, error in ((0.2, 0.05), (0.002, 0.0), (0.3, 0.1)):
+        while not (sent := rig.drain()):
+            rig.wait(0.05)
+        (ping,) = sent
+        rig.now += delay
+        rig.hear(
+            "pong", id=ping["id"], t=ping["t"], server_t=rig.now - delay / 2 + 500 + error,
+            engine_ms=1.0,
+        )  # fmt: skip
+    assert rig.core.clock.offset_s == pytest.approx(500.0)
+    assert rig.core.clock.rtt_s == pytest.approx(0.002)
+    assert rig.statistics.round_trip.count == 3
+
+
+def test_a_pong_that_was_not_asked_for_teaches_nothing(rig):
+    rig.hear("pong", id=99, t=rig.now, server_t=1.0, engine_ms=1.0)
+    assert rig.core.clock.offset_s is None
+
+
+def test_a_service_that_answers_nothing_is_given_up_after_two_seconds(rig):
+    rig.stream()
+    rig.wait(1.9)
+    assert rig.core.hang_up is None
+    rig.wait(0.3)
+    assert "said nothing" in rig.core.hang_up
+    assert rig.drain() == []
+
+
+def test_silence_is_asked_about_before_it_counts(rig):
+    rig.wait(0.1)
+    rig.drain()  # the first ping
+    rig.hear("pong", id=1, t=rig.now, server_t=1.0, engine_ms=1.0)
+    for _ in range(10):  # forecast_every: frames may go unanswered for long
+        rig.stream()
+        rig.wait(1.2)
+        pings = [message for message in rig.drain() if message["type"] == "ping"]
+        assert pings
+        rig.hear("pong", id=pings[-1]["id"], t=rig.now, server_t=1.0, engine_ms=1.0)
+    assert rig.core.hang_up is None
+
+
+def test_garbage_is_no_sign_of_life(rig):
+    rig.stream()
+    for _ in range(25):
+        rig.wait(0.1)
+        rig.receive("{")
+    assert rig.core.hang_up is not None
+    assert rig.statistics.malformed > 15
+
+
+def test_a_service_without_a_hello_is_given_up(rig):
+    rig.lose()
+    rig.dial()
+    rig.wait(5.2)
+    assert rig.core.hang_up == "no hello in time"
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"user": "bob"},
+        {"session": "another"},
+        {"epoch": 1},
+        {"epoch": 0},
+        {"joints": [], "epoch": 2},
+        {"horizon": 0},
+        {"rate_hz": 0.0},
+    ],
+)
+def test_a_hello_that_cannot_be_ours_is_hung_up_on(changes):
+    rig = Rig()
+    if "epoch" in changes and "joints" not in changes:
+        rig.connect()
+        rig.lose()
+    assert rig.connect(**changes) == []
+    assert rig.core.hang_up is not None
+    assert rig.drain() == []
+    (event,) = rig.lose()
+    assert event.reason == rig.core.last_failure
+
+
+def test_another_skeleton_or_protocol_stops_it(rig):
+    rig.lose()
+    (event,) = rig.connect(joints=["one", "two", "three"])
+    assert event.error.code == "layout_mismatch"
+    other = Rig()
+    (event,) = other.connect(protocol=2)
+    assert event.error.code == "unsupported_protocol"
+
+
+def test_a_skeleton_that_was_expected_is_checked_at_the_first_hello():
+    rig = Rig(joints=("a", "b"))
+    assert rig.core.query()["layout"]
+    (event,) = rig.connect()
+    assert event.error.code == "layout_mismatch"
+
+
+def test_anything_before_the_hello_or_a_second_one_is_hung_up_on(rig):
+    rig.greet()
+    assert rig.core.hang_up == "a second hello"
+    other = Rig()
+    other.dial()
+    other.hear("waiting", seq=0, t=0.0, reason="gap", have_s=0.0, need_s=0.45)
+    assert other.core.hang_up is not None
+
+
+def test_what_old_connections_say_is_ignored(rig):
+    old = rig.core.connection
+    (seq,) = rig.stream()
+    rig.lose()
+    rig.connect()
+    rig.hear("forecast", connection=old, **rig.forecast(seq, rig.now))
+    assert rig.core.lost(old, 4409, "", rig.moment()) == []
+    assert rig.latest is None
+    assert rig.core.phase is Phase.OPEN
+
+
+def test_unknown_messages_and_fields_are_ignored(rig):
+    assert rig.hear("aurora", colour="green") == []
+    (seq,) = rig.stream()
+    rig.answer(seq, novelty=[1, 2, 3])
+    assert rig.latest.seq == seq
+    assert rig.statistics.malformed == 0
+
+
+def test_news_of_the_service_reach_the_caller(rig):
+    (waiting,) = rig.hear("waiting", seq=0, t=0.0, reason="person_lost", have_s=0.1, need_s=0.45)
+    assert (waiting.reason, rig.core.waiting) == ("person_lost", "person_lost")
+    (seq,) = rig.stream()
+    rig.answer(seq)
+    assert rig.core.waiting is None
+    personal = {"number": 3, "kind": "personal", "sha256": "9b"}
+    (changed,) = rig.hear("version", version=personal, reason="promoted")
+    assert (changed.reason, rig.core.version.number) == ("promoted", 3)
+    (error,) = rig.hear("error", code="gap", message="m", retryable=False, seq=4)
+    assert rig.core.last_error is error
+    (job,) = rig.hear("job", id="j", state="running", progress={"phase": "training"})
+    assert job.progress == {"phase": "training"}
+    (configured,) = rig.hear("configured", settings=SETTINGS, from_seq=3)
+    assert configured.from_seq == 3
+
+
+def test_codes_of_errors_cannot_fill_the_memory(rig):
+    for number in range(1000):
+        rig.hear("error", code=f"code_{number}", message="m", retryable=False, seq=None)
+    assert len(rig.statistics.errors) <= 65
+    assert sum(rig.statistics.errors.values()) == 1000
+
+
+def test_a_closed_stream_does_nothing_any_more(rig):
+    (seq,) = rig.stream()
+    rig.answer(seq)
+    rig.core.close()
+    assert rig.latest is None
+    assert rig.offer() is None
+    assert rig.drain() == []
+    assert rig.lose() == []
