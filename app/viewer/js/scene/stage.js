@@ -1,0 +1,137 @@
+import * as THREE from 'three';
+import { OrbitControls } from 'three/OrbitControls.js';
+
+/** Where the camera may stand; the sensor is at -z, so that nobody is mirrored. */
+const VIEWS = {
+  sensor: [0.0, 1.45, -1],
+  corner: [0.62, 0.85, -1],
+  side: [1, 0.45, 0.02],
+  top: [0.0, 1, -0.02],
+};
+const LOOK_AT = new THREE.Vector3(0, 0.88, 0);
+const SLOW_MS = 42;
+const STEP = 0.08;
+
+/** The room: camera, light, floor; draws when asked. */
+export class Stage {
+  /** @param {HTMLCanvasElement} canvas */
+  constructor(canvas) {
+    this.canvas = canvas;
+    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, powerPreference: 'low-power' });
+    this.scene = new THREE.Scene();
+    this.camera = new THREE.PerspectiveCamera(34, 1, 0.1, 60);
+    this.controls = new OrbitControls(this.camera, canvas);
+    this.controls.enableDamping = !matchMedia('(prefers-reduced-motion: reduce)').matches;
+    this.controls.maxPolarAngle = 0.495 * Math.PI;
+    this.controls.minDistance = 1.5;
+    this.controls.maxDistance = 14;
+    this.controls.target.copy(LOOK_AT);
+    this.width = 1;
+    this.ratio = Math.min(devicePixelRatio, 2);
+    this.slow = 0;
+    this.#light();
+    new ResizeObserver(() => this.resize()).observe(canvas.parentElement);
+    canvas.addEventListener('keydown', (event) => this.#steer(event));
+    this.resize();
+    this.look('corner');
+  }
+
+  /** Show this many people beside each other. */
+  frame(people) {
+    this.people = people;
+    this.look(this.view ?? 'corner');
+  }
+
+  /** @param {keyof typeof VIEWS} view */
+  look(view) {
+    this.view = view;
+    const way = new THREE.Vector3(...VIEWS[view]);
+    if (view === 'sensor') way.y = 0.18;
+    if (view === 'corner') way.y = 0.3;
+    way.normalize();
+    const wide = 1.7 + 1.35 * Math.max(1, this.people ?? 1);
+    const half = Math.tan((this.camera.fov * Math.PI) / 360);
+    const far = Math.max(2.5 / (2 * half), wide / (2 * half * this.camera.aspect)) + 0.7;
+    this.controls.target.copy(LOOK_AT);
+    this.camera.position.copy(LOOK_AT).addScaledVector(way, far);
+    this.controls.update();
+  }
+
+  resize() {
+    const { clientWidth: width, clientHeight: height } = this.canvas.parentElement;
+    if (!width || !height) return;
+    this.renderer.setPixelRatio(this.ratio);
+    this.renderer.setSize(width, height, false);
+    const before = this.camera.aspect;
+    this.camera.aspect = width / height;
+    this.camera.updateProjectionMatrix();
+    if (Math.abs(before - this.camera.aspect) > 0.05 && this.view) this.look(this.view);
+  }
+
+  /** @param {Record<string, string>} palette */
+  paint(palette) {
+    const far = new THREE.Color(palette['stage-far']);
+    this.scene.background = far;
+    this.scene.fog = new THREE.Fog(far, 7, 17);
+    this.floor.material.color.set(palette.stage);
+    for (const grid of this.grids) grid.material.color.set(palette.grid);
+  }
+
+  /** @param {number} spentMs between the last two frames */
+  draw(spentMs) {
+    this.#adapt(spentMs);
+    this.controls.update();
+    this.renderer.render(this.scene, this.camera);
+  }
+
+  /** Draw fewer pixels where the machine cannot keep up, rather than fewer frames. */
+  #adapt(spentMs) {
+    this.slow = 0.95 * this.slow + 0.05 * Math.min(spentMs, 200);
+    if (this.slow > SLOW_MS && this.ratio > 0.67) {
+      this.ratio = Math.max(0.66, this.ratio * 0.82);
+      this.slow = 25;
+      this.resize();
+    }
+  }
+
+  #light() {
+    this.scene.add(new THREE.HemisphereLight(0xffffff, 0x8d99a8, 2.1));
+    const sun = new THREE.DirectionalLight(0xffffff, 1.5);
+    sun.position.set(2.5, 5, -3.5);
+    this.scene.add(sun);
+    this.floor = new THREE.Mesh(
+      new THREE.CircleGeometry(22, 48),
+      new THREE.MeshBasicMaterial({ color: 0xffffff }),
+    );
+    this.floor.rotation.x = -Math.PI / 2;
+    this.floor.position.y = -0.004;
+    this.floor.renderOrder = -3;
+    const grids = [[24, 24, 0.5], [24, 96, 0.18]];
+    this.grids = grids.map(([size, cells, opacity]) => {
+      const grid = new THREE.GridHelper(size, cells);
+      grid.material.dispose();
+      grid.material = new THREE.LineBasicMaterial({ transparent: true, opacity, depthWrite: false });
+      grid.renderOrder = -2;
+      return grid;
+    });
+    this.scene.add(this.floor, ...this.grids);
+  }
+
+  /** Arrow keys turn the camera about the people, + and - come nearer and go away. */
+  #steer(event) {
+    const moves = {
+      ArrowLeft: [-STEP, 0, 1], ArrowRight: [STEP, 0, 1], ArrowUp: [0, -STEP, 1],
+      ArrowDown: [0, STEP, 1], '+': [0, 0, 0.92], '=': [0, 0, 0.92], '-': [0, 0, 1.08],
+    };
+    const move = moves[event.key];
+    if (!move || event.ctrlKey || event.metaKey || event.altKey) return;
+    event.preventDefault();
+    event.stopPropagation();
+    const way = this.camera.position.clone().sub(this.controls.target);
+    const at = new THREE.Spherical().setFromVector3(way);
+    at.theta += move[0];
+    at.phi = Math.min(this.controls.maxPolarAngle, Math.max(0.05, at.phi + move[1]));
+    at.radius = Math.min(14, Math.max(1.5, at.radius * move[2]));
+    this.camera.position.setFromSpherical(at).add(this.controls.target);
+  }
+}

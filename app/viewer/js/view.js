@@ -1,0 +1,163 @@
+import { Emitter } from './emitter.js';
+import { HORIZONS } from './metrics.js';
+import { FPS, HISTORY_S } from './performer.js';
+import { Figure } from './scene/figure.js';
+import { readPalette } from './scene/palette.js';
+
+const APART_M = 1.45;
+const HALF_SECOND = 15;
+/** Frames by which what is shown lags what was sent, so that its forecast has arrived. */
+const BEHIND = 1;
+
+/** What is looked at: which moment, with what, and how often it is drawn. Tells `change`. */
+export class View extends Emitter {
+  #frozen = null;
+  #last = 0;
+  #held = new Map();
+
+  /**
+   * @param {import('./app.js').App} app
+   * @param {import('./scene/stage.js').Stage} stage
+   */
+  constructor(app, stage) {
+    super();
+    this.app = app;
+    this.stage = stage;
+    /** @type {Map<string, Figure>} */
+    this.figures = new Map();
+    this.show = { base: true, personal: true, beside: false, tubes: true, echo: true, hold: false };
+    /** Frames back from the newest, while paused. */
+    this.back = 0;
+    this.horizon = HORIZONS[1];
+    this.drawn = 0;
+    this.palette = readPalette();
+    stage.paint(this.palette);
+  }
+
+  get isPaused() { return this.#frozen !== null; }
+
+  /** Newest frame that can be looked back on, per person, as it was when paused. */
+  momentsOf(id) {
+    if (this.#frozen) return this.#frozen.get(id) ?? [];
+    return this.app.performers.get(id)?.history.toArray() ?? [];
+  }
+
+  /** @returns {import('./performer.js').Moment | undefined} what is shown of a person */
+  momentOf(id, before = 0) {
+    if (this.#frozen) {
+      const moments = this.#frozen.get(id) ?? [];
+      return moments[moments.length - 1 - Math.round(this.back) - before];
+    }
+    const history = this.app.performers.get(id)?.history;
+    return history?.get(history.next - 1 - BEHIND - before);
+  }
+
+  /** Stop the picture; the stream goes on, as a robot's would. */
+  pause() {
+    if (!this.app.performers.size) return;
+    this.#frozen = new Map([...this.app.performers].map(([id, one]) => [id, one.history.toArray()]));
+    this.back = BEHIND;
+    this.emit('change');
+  }
+
+  resume() {
+    this.#frozen = null;
+    this.back = 0;
+    this.emit('change');
+  }
+
+  toggle() {
+    if (this.isPaused) this.resume();
+    else this.pause();
+  }
+
+  /** @param {number} frames back from the newest */
+  seek(frames) {
+    if (!this.isPaused) this.pause();
+    this.back = Math.min(this.reach, Math.max(0, frames));
+    this.emit('change');
+  }
+
+  /** How many frames there are to go back. */
+  get reach() {
+    return Math.min(HISTORY_S * FPS, this.momentsOf(this.app.selected).length) - 1;
+  }
+
+  /** @param {string} name */
+  flip(name) {
+    this.show[name] = !this.show[name];
+    this.#held.clear();
+    this.emit('change');
+  }
+
+  setHorizon(frames) {
+    this.horizon = frames;
+    this.emit('change');
+  }
+
+  /** Give everybody in the room a figure and a place. */
+  meet() {
+    for (const [id, figure] of this.figures) {
+      if (!this.app.performers.has(id)) {
+        figure.dispose();
+        this.figures.delete(id);
+      }
+    }
+    for (const [id, performer] of this.app.performers) {
+      if (!this.figures.has(id)) {
+        const figure = new Figure(performer.skeleton);
+        figure.paint(this.palette);
+        this.figures.set(id, figure);
+        this.stage.scene.add(figure.group);
+      }
+      this.figures.get(id).settle();
+    }
+    const people = this.figures.size;
+    [...this.figures.values()].forEach((figure, i) => {
+      figure.group.position.x = ((people - 1) / 2 - i) * APART_M;
+    });
+    if (this.isPaused) this.resume();
+    this.stage.frame(people);
+  }
+
+  paint() {
+    this.palette = readPalette();
+    this.stage.paint(this.palette);
+    for (const figure of this.figures.values()) figure.paint(this.palette);
+  }
+
+  /** Draw as often as the screen does. */
+  run(also) {
+    const draw = (time) => {
+      requestAnimationFrame(draw);
+      const spent = time - this.#last;
+      this.#last = time;
+      for (const [id, figure] of this.figures) this.#pose(id, figure);
+      this.stage.draw(spent);
+      this.drawn += 1;
+      also();
+    };
+    requestAnimationFrame(draw);
+  }
+
+  #pose(id, figure) {
+    const moment = this.momentOf(id);
+    if (!moment) return;
+    const { show } = this;
+    figure.set(moment, this.#hold(id, moment), this.momentOf(id, HALF_SECOND), {
+      ...show,
+      up: this.app.performers.get(id)?.user.up ?? 'y',
+      base: show.base && (id === this.app.selected || !this.app.performers.get(id)?.isPersonal),
+    });
+  }
+
+  /** Let a forecast stand for half a second, so that the person walks into it. */
+  #hold(id, moment) {
+    if (!this.show.hold) return moment;
+    const held = this.#held.get(id);
+    const age = held ? moment.seq - held.seq : Infinity;
+    if (age >= 0 && age <= HALF_SECOND && (held.personal || held.base)) return held;
+    this.#held.set(id, moment);
+    return moment;
+  }
+}
