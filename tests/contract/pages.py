@@ -5,7 +5,7 @@ from pathlib import Path
 
 from tests.conftest import ROOT
 
-FOLDERS = ("app", "benchmarks", "docs", "migrations", "models", "tests")
+FOLDERS = ("app", "benchmarks", "clients", "docs", "migrations", "models", "tests")
 """Where pages may lie, beside the root."""
 
 
