@@ -52,8 +52,8 @@ class Constants:
     acceleration: float = 8.0
     size: float = 0.05
     reached: float = 0.05
-    margin: float = 0.15
-    weight: float = 10.0
+    margin: float = 0.2
+    weight: float = 30.0
     reach: tuple[float, ...] = (0.12, 0.35)
     lead: tuple[int, ...] = (6, 15)
 

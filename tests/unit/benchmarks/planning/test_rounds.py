@@ -18,7 +18,7 @@ from models.baselines import ZeroVelocity
 from models.data.clips import Clip
 from models.data.synthetic import SyntheticPerson
 
-CONSTANTS = Constants()
+CONSTANTS = Constants(margin=0.15, weight=10.0)
 
 
 @pytest.fixture(scope="module")
