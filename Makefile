@@ -10,7 +10,7 @@ TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 TORCH := torch==2.13.0
 
 .DEFAULT_GOAL := help
-.PHONY: planning studies study-bases study-main study-everybody study-unseen study-growth study-wild study-seconds study-ablation coverage live peers where personal reproduce stream-check performance picture crowd faults help serve test lint types imports check-migrations unit clean
+.PHONY: docs planning studies study-bases study-main study-everybody study-unseen study-growth study-wild study-seconds study-ablation coverage live peers where personal reproduce stream-check performance picture crowd faults help serve test lint types imports check-migrations unit clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
@@ -36,6 +36,11 @@ $(VENV)/.test: pyproject.toml .constraints.txt $(KERNEL) $(VENV)/.torch
 
 $(VENV)/.peers: $(VENV)/.test
 	$(BIN)/pip install -q -c .constraints.txt -e '.[peers]'
+	@touch $@
+
+$(VENV)/.docs: pyproject.toml .constraints.txt | $(BIN)/python
+	$(BIN)/pip install -q -c .constraints.txt $$($(BIN)/python -c \
+	  'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]["docs"])')
 	@touch $@
 
 serve: $(VENV)/.serve ## set up what is missing and start the service on http://127.0.0.1:8000
@@ -125,6 +130,12 @@ study-seconds: $(VENV)/.test ## errors by the seconds that a fit may take; on an
 
 study-ablation: $(VENV)/.test ## what each part of net, objective and data brings (about 55 min with its bases)
 	$(STUDY) ablation $(ARGS)
+
+docs: $(VENV)/.docs ## these pages as HTML in build/site, without anything from elsewhere (10 s)
+	$(BIN)/python docs/site/build.py
+
+figures: $(VENV)/.test ## draw docs/figures from the studies' rows and recordings (about 5 min the first time)
+	UTD_MHAD=$${UTD_MHAD:-$(SHARED)/utd-mhad} $(BIN)/python -m benchmarks.figures $(ARGS)
 
 picture: $(VENV)/.test ## draw docs/figures/demo.svg
 	$(BIN)/python -m benchmarks.picture $(ARGS)

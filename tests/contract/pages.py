@@ -3,6 +3,9 @@
 import re
 from pathlib import Path
 
+from markdown_it import MarkdownIt
+from markdown_it.token import Token
+
 from tests.conftest import ROOT
 
 FOLDERS = ("app", "benchmarks", "clients", "docs", "migrations", "models", "tests")
@@ -53,6 +56,18 @@ def read_rows(text: str, first: str) -> list[list[str]]:
 def quoted(text: str) -> set[str]:
     """Everything in backticks."""
     return set(re.findall(r"`([^`\n]+)`", text))
+
+
+def list_links(text: str) -> list[str]:
+    """Where the links and the pictures of a page lead, as CommonMark reads it."""
+    return [target for token in MarkdownIt().parse(text) for target in _find_targets(token)]
+
+
+def _find_targets(token: Token) -> list[str]:
+    own = [str(token.attrs[name]) for name in ("href", "src") if name in token.attrs]
+    if token.type in {"html_inline", "html_block"}:
+        own += re.findall(r"""(?:href|src)=["']([^"']+)["']""", token.content)
+    return own + [target for child in token.children or () for target in _find_targets(child)]
 
 
 def slugs(text: str) -> set[str]:

@@ -10,7 +10,14 @@ from typer.main import get_command
 
 from app.cli import LAZY, app
 from tests.conftest import ROOT
-from tests.contract.pages import list_pages, read_blocks, read_page, read_section, slugs
+from tests.contract.pages import (
+    list_links,
+    list_pages,
+    read_blocks,
+    read_page,
+    read_section,
+    slugs,
+)
 
 PAGES = list_pages()
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
@@ -27,7 +34,7 @@ def strip_blocks(text: str) -> str:
 def test_every_link_leads_somewhere(name):
     page = ROOT / name
     dead = []
-    for target in re.findall(r"\]\(([^)\s]+)\)", strip_blocks(page.read_text())):
+    for target in list_links(page.read_text()):
         if re.match(r"[a-z]+:", target):
             continue
         file, _, anchor = target.partition("#")
