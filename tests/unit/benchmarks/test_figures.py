@@ -1,0 +1,71 @@
+"""Figures are drawn from the rows that are there, and say what is missing."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from benchmarks.figures import __main__ as figures
+from benchmarks.figures import rows
+from benchmarks.figures.people import draw_poses
+from benchmarks.figures.rows import MissingError
+from models.data.splits import TEST_SUBJECTS
+from models.metrics import FRAMES
+
+
+def make_row(subject: str, seed: int) -> dict[str, object]:
+    methods = {"zero_velocity": 9.0, "base": 4.0, "served": 3.0 + seed, "plain": 3.0}
+    return {
+        "unit": f"shipped-{seed}, subject {subject}",
+        "person": f"utd-mhad/{subject}",
+        "family": "shipped",
+        "seed": seed,
+        "errors": {
+            "actions": ["1", "2"],
+            "trials": ["2", "3"],
+            "windows": [10, 20],
+            "mean_cm2": {name: [[size] * len(FRAMES)] * 2 for name, size in methods.items()},
+        },
+    }
+
+
+def draw(folder: Path, monkeypatch: pytest.MonkeyPatch, *names: str) -> int:
+    monkeypatch.setattr("sys.argv", ["figures", *names, "--folder", str(folder)])
+    with pytest.raises(SystemExit) as ended:
+        figures.main()
+    return int(ended.value.code or 0)
+
+
+@pytest.fixture
+def results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(rows, "RESULTS", tmp_path)
+    return tmp_path
+
+
+def test_figures_show_the_rows_and_do_not_change_by_themselves(
+    results: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines = [json.dumps(make_row(one, seed)) for one in TEST_SUBJECTS for seed in (0, 1)]
+    (results / "main.jsonl").write_text("\n".join(lines))
+    folder = results / "figures"
+    assert draw(folder, monkeypatch, "table", "horizon", "actions") == 0
+    first = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert set(first) == {"table.svg", "horizon.svg", "actions.svg"}
+    assert draw(folder, monkeypatch, "table") == 0
+    assert (folder / "table.svg").read_bytes() == first["table.svg"]
+
+
+def test_what_was_not_measured_is_not_drawn_but_said(
+    results: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert draw(results / "figures", monkeypatch, "table", "seconds") == 1
+    told = capsys.readouterr().out
+    assert "make study-main" in told
+    assert "make study-seconds" in told
+    assert not (results / "figures").exists()
+
+
+def test_without_recordings_it_says_where_to_point(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("UTD_MHAD", "nowhere")
+    with pytest.raises(MissingError, match="UTD_MHAD"):
+        draw_poses()
