@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
@@ -44,6 +44,13 @@ def server(tmp_path_factory) -> Iterator[RealServer]:
         yield running
 
 
+def _await(is_so: Callable[[], object]) -> None:
+    end = time.monotonic() + 20.0
+    while not is_so():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
 @contextmanager
 def sending(stream) -> Iterator[None]:
     """Send a person at 30 Hz from a thread until the block ends."""
@@ -77,10 +84,7 @@ def test_callbacks_get_every_kind_of_news_and_their_mistakes_stop_nothing(server
         client.stream("ada", on_forecast=use, on_event=events.append) as stream,
         sending(stream),
     ):
-        end = time.monotonic() + 20.0
-        while len(seen) < 10:
-            assert time.monotonic() < end
-            time.sleep(0.02)
+        _await(lambda: len(seen) >= 10)
         assert stream.statistics().callback_errors == 1
     assert seen == sorted(set(seen))
     assert isinstance(events[0], Connected)
@@ -99,10 +103,7 @@ def test_a_slow_callback_gets_the_newest_forecast(server):
         client.stream("ada", on_forecast=dawdle) as stream,
         sending(stream),
     ):
-        end = time.monotonic() + 20.0
-        while len(ages) < 5:
-            assert time.monotonic() < end
-            time.sleep(0.02)
+        _await(lambda: len(ages) >= 5)
         assert stream.statistics().forecasts > len(ages)
     assert max(ages) < 1.0  # in turn, the fifth would have waited for longer
 
@@ -157,6 +158,8 @@ def test_a_key_that_may_not_record_says_so(server):
         with pytest.raises(RecordingError, match="scope record") as refused:
             stream.record().stop()
         assert refused.value.code == "forbidden"
+        with pytest.raises(RecordingError), stream.record() as other:
+            _await(lambda: other.status.is_over)
         assert stream.state == "open"
 
 
@@ -174,10 +177,7 @@ def test_a_refusal_is_raised_by_whatever_waits(server):
             next(iter(stream))
         assert stream.latest() is None
         assert stream.state == "stopped"
-        end = time.monotonic() + 5.0
-        while not stopped:
-            assert time.monotonic() < end
-            time.sleep(0.01)
+        _await(lambda: stopped)
         assert isinstance(stopped[-1], Stopped)
 
 
