@@ -25,6 +25,7 @@ from kinecast_client import (
     Stopped,
     StoppedError,
     UnreachableError,
+    UserDeletedError,
     Waiting,
 )
 from kinecast_client.samples import JOINTS, waving_person
@@ -374,3 +375,16 @@ def test_a_program_ends_though_it_closed_nothing(server):
         check=False,
     )
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_the_reason_of_a_close_is_read_though_frames_are_on_their_way(server):
+    """Frames that are sent into a connection which is closing must not hide why it closes."""
+    for number in range(5):
+        user = f"brief-{number}"
+        server.add_user(user)
+        with Client(server.http, ADMIN_KEY) as client, client.stream(user) as stream:
+            with sending(stream):
+                client.users.delete(user)
+                _await(lambda: stream.state == "stopped")
+            with pytest.raises(UserDeletedError, match="user_deleted"):
+                stream.check()

@@ -143,14 +143,15 @@ class Link:
     async def _serve(self, socket: ClientConnection, number: int) -> None:
         with self._lock:
             self.core.connected(number)
-        parts = [
-            asyncio.ensure_future(part)
-            for part in (self._read(socket, number), self._write(socket), self._tick())
-        ]
+        reader = asyncio.ensure_future(self._read(socket, number))
+        others = (asyncio.ensure_future(part) for part in (self._write(socket), self._tick()))
+        parts = (reader, *others)
         try:
             await asyncio.wait(parts, return_when=asyncio.FIRST_COMPLETED)
             with self._lock:
                 is_dead = self.core.hang_up is not None
+            if not is_dead:  # the last messages say why the service closes
+                await asyncio.wait({reader}, timeout=CLOSE_S)
             for part in parts:
                 part.cancel()
             if is_dead:
