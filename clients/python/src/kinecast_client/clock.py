@@ -6,6 +6,7 @@ from typing import NamedTuple
 _RTT_FORGET = 1.02
 """A round trip counts as better than the best one so far if it is at most this much longer for
 each one since: clocks drift."""
+LATE_PING_S = 0.1
 
 
 class Moment(NamedTuple):
@@ -29,6 +30,10 @@ class ServerClock:
     """
 
     def __init__(self) -> None:
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget everything: the clock of the frames is a new one."""
         self.offset_s: float | None = None
         self.rtt_s: float | None = None
         self._best = math.inf
@@ -43,3 +48,13 @@ class ServerClock:
             self._best = self.rtt_s = rtt_s
             self.offset_s = server_t - (sent.frame + now.frame) / 2
         return rtt_s
+
+    def is_late(self, server_t: float, now: Moment) -> bool:
+        """Tell whether what the service sent at `server_t` by its clock took too long to us.
+
+        A pong to such a ping would mislead the service by half of that: it could take fresh frames
+        for stale. False where the clocks have not been compared yet.
+        """
+        if self.offset_s is None:
+            return False
+        return now.frame + self.offset_s - server_t > LATE_PING_S
