@@ -7,6 +7,8 @@ _RTT_FORGET = 1.02
 """A round trip counts as better than the best one so far if it is at most this much longer for
 each one since: clocks drift."""
 LATE_PING_S = 0.1
+STEP_S = 0.02
+"""The clock of the frames was set anew if it differs by this much from ours within a round trip."""
 
 
 class Moment(NamedTuple):
@@ -41,7 +43,8 @@ class ServerClock:
     def learn(self, *, sent: Moment, server_t: float, now: Moment) -> float | None:
         """Learn from a pong and give its round trip in seconds, None where it makes no sense."""
         rtt_s = now.mono - sent.mono
-        if rtt_s < 0 or not math.isfinite(server_t):
+        has_stepped = abs(now.frame - sent.frame - rtt_s) > STEP_S
+        if rtt_s < 0 or has_stepped or not math.isfinite(server_t):
             return None
         self._best *= _RTT_FORGET
         if rtt_s <= self._best:
