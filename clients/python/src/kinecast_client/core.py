@@ -132,7 +132,11 @@ class Core:
         if self.is_over:
             self.outgoing.refuse("stopped")
             return None
-        return self.outgoing.offer(joints, t, confidence, now)
+        floor = self.outgoing.floor
+        seq = self.outgoing.offer(joints, t, confidence, now)
+        if self.outgoing.floor != floor:
+            self.clock.restart()
+        return seq
 
     def latest(self, now: Moment) -> Forecast | None:
         """Give the newest forecast that may be used now, None where there is none."""
@@ -171,7 +175,9 @@ class Core:
     def dial(self, now: Moment) -> int:
         """Begin a connection and give its number; what comes from older ones is ignored."""
         self.connection += 1
-        self.phase, self.hang_up, self._since = Phase.DIALLING, None, now.mono
+        self.hang_up, self._since = None, now.mono
+        if not self.is_over:  # it may have been closed a moment ago, from another thread
+            self.phase = Phase.DIALLING
         self._bye = self._fault = None
         self._was_good = False
         self._incoming.forget_questions()
@@ -276,7 +282,7 @@ class Core:
             case WireForecast():
                 self._take_forecast(message, now)
             case Ping():
-                self.outgoing.say("pong", id=message.id, server_t=message.server_t, t=now.frame)
+                self._answer(message, now)
             case Pong():
                 self._learn(message, now)
             case Bye():
@@ -326,6 +332,10 @@ class Core:
         if ping is not None:
             self.outgoing.say("ping", id=ping, t=now.frame)
         self.outgoing.tick(now)
+
+    def _answer(self, ping: Ping, now: Moment) -> None:
+        if not self.clock.is_late(ping.server_t, now):
+            self.outgoing.say("pong", id=ping.id, server_t=ping.server_t, t=now.frame)
 
     def _learn(self, pong: Pong, now: Moment) -> None:
         rtt_s = self._pulse.learn(pong, now)
