@@ -103,8 +103,8 @@ def test_a_slow_callback_gets_the_newest_forecast(server):
         while len(ages) < 5:
             assert time.monotonic() < end
             time.sleep(0.02)
-        assert stream.statistics().forecasts > 2 * len(ages)
-    assert max(ages) < 0.25
+        assert stream.statistics().forecasts > len(ages)
+    assert max(ages) < 1.0  # in turn, the fifth would have waited for longer
 
 
 def test_iteration_gives_every_forecast_once_and_ends_with_the_stream(server):
