@@ -1,5 +1,8 @@
 """The examples of the Python client, run against a real server as their pages say."""
 
+import os
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -8,6 +11,8 @@ from kinecast_client import Client
 from kinecast_client.interop.tape_file import Frame, TapeReader
 from kinecast_client.samples import waving_person
 
+from tests.conftest import ROOT
+from tests.contract.pages import read_blocks, read_page
 from tests.live_support import serve
 from tests.support import ADMIN_KEY, make_settings
 from tests.unit.clients.examples import load_example
@@ -125,6 +130,22 @@ def test_bones_are_those_of_the_streams_joints(server):
     assert {frozenset(bone) for bone in found.bones} == {frozenset(b) for b in KINECT_V1.bones}
     with pytest.raises(LookupError):
         common.find_skeleton(server.http, ["tail"])
+
+
+@pytest.mark.parametrize("block", read_blocks(read_page("docs/robots.md"), "python"))
+def test_every_program_on_the_page_of_robots_runs(server, key, block, tmp_path):
+    source = block.replace("127.0.0.1:8000", server.http.removeprefix("http://"))
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", source],
+        cwd=tmp_path,
+        env=dict(os.environ) | {"PYTHONPATH": str(ROOT / "clients/python/src")},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout in {"30 frames\n", "5 markers\n", "25 markers\n"}
 
 
 def test_rerun_gets_a_file_of_a_stream(server, key, tmp_path):
