@@ -45,9 +45,8 @@ def key(monkeypatch):
 @pytest.mark.parametrize("name", [*EXAMPLES, "ros2_node"])
 def test_every_example_explains_itself(name, capsys):
     example = load_example(name)
-    run = example.parse if name == "ros2_node" else example.main
     with pytest.raises(SystemExit, match="0"):
-        run(["--help"])
+        example.main(["--help"])
     assert "--url" in capsys.readouterr().out
 
 
@@ -56,6 +55,18 @@ def test_an_example_without_a_key_says_where_to_get_one(monkeypatch):
         monkeypatch.delenv(name, raising=False)
     with pytest.raises(SystemExit, match="quickstart"):
         load_example("planning").main(["--seconds", "1"])
+
+
+def test_what_goes_wrong_is_told_in_a_line(server, key, tmp_path):
+    common, record, play = map(load_example, ("common", "record", "play"))
+    words = ["--url", server.http, "--user", "nobody", str(tmp_path / "a.mcap")]
+    with pytest.raises(SystemExit, match=r"^unknown_user: There is no user nobody"):
+        common.run(lambda: record.main(words))
+    (tmp_path / "b.mcap").write_bytes(b"")
+    with pytest.raises(SystemExit, match=r"b\.mcap is no recording"):
+        play.main([str(tmp_path / "b.mcap")])
+    with pytest.raises(SystemExit, match="No such file"):
+        play.main([str(tmp_path / "c.mcap")])
 
 
 def test_recording_has_every_frame_that_was_sent_and_the_forecasts_that_came(tape):

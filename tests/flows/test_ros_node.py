@@ -104,7 +104,7 @@ def test_node_publishes_forecasts_and_takes_them_back_when_the_person_is_gone(
     with serve(make_settings(tmp_path)) as server:
         server.add_user("7up", skeleton="azure_kinect", up="-y")
         words = ["--url", server.http, "--user", "7up", "--markers", "/tracker"]
-        example.Program(example.parse([*words, "--camera-info", "/camera_info"])).run()
+        example.main([*words, "--camera-info", "/camera_info"])
     [node] = ros.nodes
     topics = [topic for topic, _ in node.published]
     body = example.ros.name_body("7up")
@@ -119,3 +119,9 @@ def test_node_publishes_forecasts_and_takes_them_back_when_the_person_is_gone(
     assert {one.fields["child_frame_id"] for one in ros.transforms} == {f"body_{body}"}
     assert node.qos["/tracker"] == SimpleNamespace(depth=1, reliability="best effort")
     assert node.qos["~/forecast"] == SimpleNamespace(depth=1, reliability="reliable")
+
+
+def test_node_without_ros_says_what_is_missing(monkeypatch):
+    monkeypatch.setitem(sys.modules, "rclpy", None)
+    with pytest.raises(SystemExit, match=r"setup\.bash"):
+        load_example("ros2_node").main([])

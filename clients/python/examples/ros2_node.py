@@ -29,7 +29,7 @@ import argparse
 from collections.abc import Sequence
 from typing import Any
 
-from common import find_skeleton, make_parser, read_key
+from common import find_skeleton, make_parser, read_key, run
 from ros2_bridge import MARKERS, Bridge
 
 from kinecast_client import Client, Stream
@@ -161,5 +161,16 @@ def _fill(kind: str, fields: ros.Message) -> Any:
     return message
 
 
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the node."""
+    options = parse(arguments)
+    try:
+        program = Program(options)
+    except ModuleNotFoundError as error:
+        why = f"{error.name} is missing: source /opt/ros/<distribution>/setup.bash"
+        raise SystemExit(why) from None
+    program.run()
+
+
 if __name__ == "__main__":
-    Program(parse()).run()
+    run(main)
