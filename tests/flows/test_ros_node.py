@@ -20,7 +20,8 @@ class FakeNode:
 
     def __init__(self, name):
         self.name, self.published, self.takers, self.timers, self.qos = name, [], {}, [], {}
-        self.get_logger = lambda: SimpleNamespace(info=lambda _: None)
+        self.said = []
+        self.get_logger = lambda: SimpleNamespace(info=self.said.append, warning=self.said.append)
 
     def get_clock(self):
         return SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=time.time_ns()))
@@ -125,3 +126,18 @@ def test_node_without_ros_says_what_is_missing(monkeypatch):
     monkeypatch.setitem(sys.modules, "rclpy", None)
     with pytest.raises(SystemExit, match=r"setup\.bash"):
         load_example("ros2_node").main([])
+
+
+def test_topics_whose_messages_are_not_installed_are_left_out(ros, monkeypatch):
+    def find(name):
+        if name.startswith("hri_msgs"):
+            raise ModuleNotFoundError("No module named 'hri_msgs'", name="hri_msgs")
+        return get_message(name)
+
+    monkeypatch.setattr(sys.modules["rosidl_runtime_py.utilities"], "get_message", find)
+    node = load_example("ros2_node").Node()
+    for _ in range(2):
+        node.publish("/humans/bodies/tracked", "hri_msgs/msg/IdsList", {"ids": []})
+        node.publish("~/forecast", "trajectory_msgs/msg/MultiDOFJointTrajectory", {})
+    assert [topic for topic, _ in node.node.published] == ["~/forecast"] * 2
+    assert node.node.said == ["/humans/bodies/tracked is left out: no hri_msgs here"]
