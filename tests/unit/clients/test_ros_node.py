@@ -8,36 +8,13 @@ import pytest
 from kinecast_client.interop import ros
 from kinecast_client.interop.body import Skeleton
 from kinecast_client.interop.ros import Camera
-from kinecast_client.samples import waving_person
 
-from models.skeleton import SKELETONS
 from tests.unit.clients.examples import load_example
-from tests.unit.clients.robots import NOW, make_forecast
+from tests.unit.clients.robots import AZURE, NOW, make_forecast, make_markers, make_pose
 from tests.unit.clients.ros_messages import check
 
 bridging, node = load_example("ros2_bridge"), load_example("ros2_node")
-AZURE = SKELETONS["azure_kinect"]
 CAMERA = Camera(fx=504.0, fy=504.0, cx=320.0, cy=288.0, width=640, height=576)
-
-
-def make_pose(away=2.0):
-    """A pose of an Azure Kinect in its optical frame."""
-    kinect = waving_person(1.0)[0] * [-1, -1, 1] + [0, 0, away - 2.5]
-    pose = np.linalg.pinv(AZURE.to_net) @ kinect
-    return pose + (kinect[3] - (AZURE.to_net @ pose)[3])
-
-
-def make_markers(pose, body=1, t=NOW, frame="depth_camera_link"):
-    stamp = SimpleNamespace(sec=int(t), nanosec=round(t % 1 * 1e9))
-    header = SimpleNamespace(stamp=stamp, frame_id=frame)
-    return [
-        SimpleNamespace(
-            id=100 * body + joint,
-            header=header,
-            pose=SimpleNamespace(position=SimpleNamespace(x=p[0], y=p[1], z=p[2])),
-        )
-        for joint, p in enumerate(pose.tolist())
-    ]
 
 
 class FakeStream:

@@ -142,3 +142,11 @@ def test_kept_constants_are_the_best_of_those_that_were_tried():
     best = max(KEPT["tuned"], key=lambda row: row["score"])
     assert best["weight"] == KEPT["constants"]["weight"]
     assert best["margin"] == KEPT["constants"]["margin"]
+
+
+def test_first_page_has_the_figures_that_are_kept():
+    close = [KEPT["margins"]["0.2"][name]["too_close_s_per_min"]["value"] for name in METHODS[:3]]
+    without, base, personal = (f"{value:.1f} s" for value in close)
+    page = (ROOT / "README.md").read_text()
+    assert f"than 10 cm for {without} a minute" in page
+    assert f"{base} with the base's forecasts, {personal} with their own version's" in page
