@@ -3,17 +3,32 @@
 import argparse
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import httpx
 import numpy as np
 from numpy.typing import NDArray
 
+from kinecast_client import KinecastError
 from kinecast_client.interop.body import Skeleton
 from kinecast_client.samples import waving_person
 
 Poses = NDArray[np.floating]
+
+
+def run(main: Callable[[], None]) -> None:
+    """Run an example: what can go wrong is told in a line, and Ctrl+C ends it.
+
+    Raises:
+        SystemExit: something went wrong.
+    """
+    try:
+        main()
+    except KeyboardInterrupt:
+        raise SystemExit(130) from None
+    except (KinecastError, httpx.HTTPError, LookupError) as error:
+        raise SystemExit(str(error)) from None
 
 
 def make_parser(description: str | None) -> argparse.ArgumentParser:
@@ -53,7 +68,7 @@ def read_poses(options: argparse.Namespace) -> Poses:
     """Give the poses that were asked for: [frame, joint, 3] in metres."""
     if options.frames is None:
         return waving_person(options.seconds)
-    poses = np.load(options.frames, allow_pickle=False)
+    poses: Poses = np.load(options.frames, allow_pickle=False)
     if poses.ndim != 3 or poses.shape[2] != 3:
         raise SystemExit(f"{options.frames}: expected [frame, joint, 3], found {poses.shape}")
     return poses

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from common import Poses, add_source, make_parser, pace, read_key, read_poses
+from common import Poses, add_source, make_parser, pace, read_key, read_poses, run
 from numpy.typing import NDArray
 from point_robot import Capsules, Constants, PointRobot, clearance_now, plan
 
@@ -131,4 +131,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from common import make_parser, read_key
+from common import make_parser, read_key, run
 
 from kinecast_client import Client
 from kinecast_client.forecasts import Forecast
-from kinecast_client.interop.tape_file import Frame, TapeReader
+from kinecast_client.interop.tape_file import Frame, TapeError, TapeReader
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.set_defaults(user=None)
     parser.add_argument("file", type=Path, help="as record.py wrote it")
     options = parser.parse_args(arguments)
-    tape = TapeReader(options.file)
+    try:
+        tape = TapeReader(options.file)
+    except (TapeError, OSError) as error:
+        raise SystemExit(str(error)) from None
     with Client(options.url, read_key()) as client:
         found = play(client, tape, options.user or tape.about.user)
     apart = "-" if found.apart_mm is None else f"{found.apart_mm:.1f} mm"
@@ -82,4 +85,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -10,7 +10,7 @@ import argparse
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from common import Poses, add_source, find_skeleton, make_parser, pace, read_key, read_poses
+from common import Poses, add_source, find_skeleton, make_parser, pace, read_key, read_poses, run
 
 from kinecast_client import Client, Stream
 from kinecast_client.interop.tape_file import About, Frame, TapeWriter
@@ -60,4 +60,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

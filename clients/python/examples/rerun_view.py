@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import Poses, add_source, find_skeleton, make_parser, pace, read_key, read_poses
+from common import Poses, add_source, find_skeleton, make_parser, pace, read_key, read_poses, run
 
 from kinecast_client import Client
 from kinecast_client.forecasts import Forecast
@@ -112,4 +112,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -52,7 +52,7 @@ class Bridge:
         stream: of the user.
         skeleton: the user's.
         body: the id that the person has in ROS.
-        up: the user's.
+        up: the user's, which is how the tracker's frame lies: "-y" for an optical one.
         ahead: the frame of a forecast that becomes a skeleton, counted from 0.
         publish: sends messages.
         broadcast: sends transforms.
@@ -118,7 +118,8 @@ class Bridge:
 
     @property
     def _place(self) -> dict[str, Any]:
-        return {"skeleton": self.skeleton, "up": self.up, "frame_id": self.frame_id}
+        """Positions stay in the tracker's frame, which TF knows: "z" turns nothing."""
+        return {"skeleton": self.skeleton, "up": "z", "frame_id": self.frame_id}
 
     def _choose(self, bodies: dict[int, NDArray[np.float64]]) -> NDArray[np.float64] | None:
         """Stay with the person that was followed; else take the nearest."""
@@ -139,7 +140,8 @@ class Bridge:
             return
         self.publish(ros.topic(self.body, f"{prefix}joint_states"), JOINTS, state)
         if self.camera is not None:
-            made = ros.make_skeleton2d(pose, t, camera=self.camera, doubted=doubted, **self._place)
+            view = self._place | {"up": self.up}  # the camera looks along x in ROS's axes
+            made = ros.make_skeleton2d(pose, t, camera=self.camera, doubted=doubted, **view)
             self.publish(ros.topic(self.body, f"{prefix}skeleton2d"), SKELETON, made)
 
 

@@ -13,10 +13,11 @@ It publishes
   /humans/bodies/<id>/forecast/skeleton2d
   TF: <sensor's frame> -> body_<id>         as observed
 
-by REP 155 (people), REP 103 (axes) and REP 105 (frames: the sensor's own place in them is its
-driver's business). Skeletons in the picture need --camera-info. Publishers are reliable and keep
-the last message only, so that a slow subscriber gets what is new; the tracker is listened to with
-best effort, which takes any publisher.
+by REP 155 (people) and REP 103 (units, axes of the body). Positions stay in the frame of the
+tracker's markers, which TF knows; where that is in the robot (REP 105) is the driver's business.
+Skeletons in the picture need --camera-info. Publishers are reliable and keep the last message only,
+so that a slow subscriber gets what is new; the tracker is listened to with best effort, which takes
+any publisher.
 
   KEY=kc_... python3 ros2_node.py --user ada --markers /body_tracking_data
 
@@ -28,7 +29,7 @@ import argparse
 from collections.abc import Sequence
 from typing import Any
 
-from common import find_skeleton, make_parser, read_key
+from common import find_skeleton, make_parser, read_key, run
 from ros2_bridge import MARKERS, Bridge
 
 from kinecast_client import Client, Stream
@@ -72,11 +73,22 @@ class Node:
         return float(self.node.get_clock().now().nanoseconds * 1e-9)
 
     def publish(self, topic: str, kind: str, fields: ros.Message) -> None:
-        """Publish a message; the first one on a topic announces it."""
+        """Publish a message; the first one on a topic announces it.
+
+        A topic whose messages are not installed, `hri_msgs` for example, is left out.
+        """
         if topic not in self._publishers:
-            made = self.node.create_publisher(_find_type(kind), topic, self._newest)
-            self._publishers[topic] = made
-        self._publishers[topic].publish(_fill(kind, fields))
+            self._publishers[topic] = self._announce(topic, kind)
+        publisher = self._publishers[topic]
+        if publisher is not None:
+            publisher.publish(_fill(kind, fields))
+
+    def _announce(self, topic: str, kind: str) -> Any:
+        try:
+            return self.node.create_publisher(_find_type(kind), topic, self._newest)
+        except ModuleNotFoundError as error:
+            self.node.get_logger().warning(f"{topic} is left out: no {error.name} here")
+            return None
 
     def broadcast(self, transforms: list[ros.Message]) -> None:
         """Send transforms to TF."""
@@ -160,5 +172,16 @@ def _fill(kind: str, fields: ros.Message) -> Any:
     return message
 
 
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the node."""
+    options = parse(arguments)
+    try:
+        program = Program(options)
+    except ModuleNotFoundError as error:
+        why = f"{error.name} is missing: source /opt/ros/<distribution>/setup.bash"
+        raise SystemExit(why) from None
+    program.run()
+
+
 if __name__ == "__main__":
-    Program(parse()).run()
+    run(main)

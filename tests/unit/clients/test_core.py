@@ -249,12 +249,26 @@ def test_settings_that_the_service_has_already_are_not_sent(rig):
     assert [message["coverage"] for message in rig.drain()] == [0.5]
 
 
-def test_settings_go_into_the_address_of_every_connection(rig):
-    rig.core.configure(Settings(forecast_every=2, coverage=0.5, version=3))
+def test_settings_that_were_accepted_go_into_the_address_of_the_next_connection(rig):
+    wanted = {"forecast_every": 2, "coverage": 0.5, "version": 3, "max_age_ms": 200.0}
+    rig.core.configure(Settings(**wanted))
+    assert rig.core.query()["version"] == "active"
+    rig.hear("configured", settings=wanted, from_seq=0)
     query = rig.core.query()
     layout = query.pop("layout")
     assert query == {"session": "s", "version": 3, "coverage": 0.5, "forecast_every": 2}
     assert len(layout) == 64
+
+
+@pytest.mark.parametrize("code", ["unknown_version", "bad_configure"])
+def test_settings_that_were_refused_are_not_asked_for_again(rig, code):
+    rig.core.configure(Settings(version=77))
+    rig.drain()
+    rig.hear("error", code=code, message="No.", retryable=False, seq=None)
+    rig.lose()
+    assert rig.core.query()["version"] == "active"
+    rig.connect()
+    assert rig.drain() == []
 
 
 def test_a_frame_that_never_left_is_answered_by_the_next_connection(rig):

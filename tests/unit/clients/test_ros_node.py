@@ -5,38 +5,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from kinecast_client.interop import ros
 from kinecast_client.interop.body import Skeleton
 from kinecast_client.interop.ros import Camera
-from kinecast_client.samples import waving_person
 
-from models.skeleton import SKELETONS
 from tests.unit.clients.examples import load_example
-from tests.unit.clients.robots import NOW, make_forecast
+from tests.unit.clients.robots import AZURE, NOW, make_forecast, make_markers, make_pose
 from tests.unit.clients.ros_messages import check
 
 bridging, node = load_example("ros2_bridge"), load_example("ros2_node")
-AZURE = SKELETONS["azure_kinect"]
 CAMERA = Camera(fx=504.0, fy=504.0, cx=320.0, cy=288.0, width=640, height=576)
-
-
-def make_pose(away=2.0):
-    """A pose of an Azure Kinect in its optical frame."""
-    kinect = waving_person(1.0)[0] * [-1, -1, 1] + [0, 0, away - 2.5]
-    pose = np.linalg.pinv(AZURE.to_net) @ kinect
-    return pose + (kinect[3] - (AZURE.to_net @ pose)[3])
-
-
-def make_markers(pose, body=1, t=NOW, frame="depth_camera_link"):
-    stamp = SimpleNamespace(sec=int(t), nanosec=round(t % 1 * 1e9))
-    header = SimpleNamespace(stamp=stamp, frame_id=frame)
-    return [
-        SimpleNamespace(
-            id=100 * body + joint,
-            header=header,
-            pose=SimpleNamespace(position=SimpleNamespace(x=p[0], y=p[1], z=p[2])),
-        )
-        for joint, p in enumerate(pose.tolist())
-    ]
 
 
 class FakeStream:
@@ -114,6 +92,27 @@ def test_observed_body_is_announced_by_rep_155(rig):
     [body] = rig.transforms
     assert body["header"]["frame_id"] == "depth_camera_link"
     assert body["child_frame_id"] == "body_ada"
+
+
+def test_positions_stay_in_the_trackers_frame(rig):
+    pose = make_pose()
+    rig.bridge.observe(make_markers(pose), NOW)
+    rig.bridge.forecast(forecast_of(pose))
+    [body] = rig.transforms
+    hips = pose[[AZURE.joints.index("HIP_LEFT"), AZURE.joints.index("HIP_RIGHT")]].mean(axis=0)
+    assert list(body["transform"]["translation"].values()) == pytest.approx(hips)
+    [trajectory] = [message for topic, _, message in rig.published if topic == "~/forecast"]
+    assert trajectory["header"]["frame_id"] == "depth_camera_link"
+    first = trajectory["points"][0]["transforms"][0]["translation"]
+    assert list(first.values()) == pytest.approx(pose[0], abs=1e-6)
+
+
+def test_angles_are_the_same_in_whichever_frame_the_tracker_sees(rig):
+    pose = make_pose()
+    rig.bridge.observe(make_markers(pose), NOW)
+    [(_, _, state)] = [one for one in rig.published if one[0].endswith("joint_states")]
+    turned = ros.make_joint_state(pose, NOW, skeleton=rig.bridge.skeleton, up="-y", body="ada")
+    assert state["position"] == pytest.approx(turned["position"], abs=1e-6)
 
 
 def test_forecast_is_published_for_rviz_planners_and_people_aware_nodes(rig):

@@ -18,9 +18,17 @@ def read_url(url: str) -> str:
     base = url.strip().rstrip("/")
     scheme, colon, rest = base.partition("://")
     base = f"{_PLAIN.get(scheme.lower(), scheme.lower())}{colon}{rest}"
-    if not base.startswith(("http://", "https://")) or not urlsplit(base).hostname:
+    if not base.startswith(("http://", "https://")) or not _has_host(base):
         raise ValueError(f"{url!r} is no address such as http://127.0.0.1:8000")
     return base
+
+
+def _has_host(base: str) -> bool:
+    try:
+        parts = urlsplit(base)
+        return bool(parts.hostname) and (parts.port is None or parts.port > 0)
+    except ValueError:  # the port is none
+        return False
 
 
 def find_stream_url(base: str, user: str, query: Mapping[str, str | int | float]) -> str:

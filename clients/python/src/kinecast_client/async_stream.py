@@ -133,6 +133,7 @@ class AsyncStream(StreamBase):
 
         Raises:
             RecordingError: another recording of this stream is not over yet.
+            ValueError: the label or the id cannot be one.
         """
         return AsyncRecording(self, self._start_recording(trial, label))
 

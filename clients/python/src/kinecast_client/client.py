@@ -14,6 +14,7 @@ from kinecast_client import calls
 from kinecast_client.address import is_loopback, read_url
 from kinecast_client.answers import read_answer
 from kinecast_client.calls import Call
+from kinecast_client.checks import check_key, check_settings, check_stream
 from kinecast_client.errors import DeadlineError, UnreachableError
 from kinecast_client.forecasts import Forecast
 from kinecast_client.frames import Array
@@ -41,7 +42,7 @@ class Client:
         timeout_s: longest wait for an answer, where a call says nothing else.
 
     Raises:
-        ValueError: `url` is no address.
+        ValueError: `url` is no address, or `key` cannot be one.
     """
 
     users: Users
@@ -49,12 +50,13 @@ class Client:
     versions: Versions
     jobs: Jobs
 
-    def __init__(self, url: str, key: str | None, *, timeout_s: float = TIMEOUT_S) -> None:
+    def __init__(self, url: str, key: str, *, timeout_s: float = TIMEOUT_S) -> None:
         self.url = read_url(url)
-        self._key, self._timeout_s = key, timeout_s
+        self._key, self._timeout_s = check_key(key), timeout_s
+        self._is_closed = False
         self._http = httpx.Client(
             base_url=self.url,
-            headers={} if key is None else {"Authorization": f"Bearer {key}"},
+            headers={"Authorization": f"Bearer {key}"},
             trust_env=not is_loopback(self.url),
         )
         self._loop: _LoopThread | None = None
@@ -78,6 +80,7 @@ class Client:
 
     def close(self) -> None:
         """Close it and its streams."""
+        self._is_closed = True
         for stream in list(self._streams):
             stream.close()
         self._http.close()
@@ -159,8 +162,15 @@ class Client:
             joints: names of your joints; another skeleton is refused.
             clock: gives the time of your frames in seconds, where that is not `time.monotonic`.
             form: of the messages; `json` is there to look at them.
+
+        Raises:
+            ValueError: an argument is out of its range.
+            RuntimeError: the client was closed.
         """
-        settings = Settings(forecast_every, coverage, version, max_age_s * 1e3)
+        if self._is_closed:
+            raise RuntimeError("the client was closed")
+        check_stream(hold_s=hold_s, form=form, session=session)
+        settings = check_settings(Settings(forecast_every, coverage, version, max_age_s * 1e3))
         options = StreamOptions(
             settings=settings,
             rules=Rules(max_age_s=max_age_s, hold_s=hold_s),

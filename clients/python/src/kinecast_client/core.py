@@ -45,6 +45,7 @@ from kinecast_client.statistics import Statistics, Tally
 MAX_MESSAGE_BYTES = 4 * 2**20
 BROKEN = 1006
 _CODES_KEPT = 64
+_REFUSED_SETTINGS = frozenset({"bad_configure", "unknown_version"})
 
 
 class Phase(Enum):
@@ -103,6 +104,7 @@ class Core:
         self._incoming = Incoming(self.wire, self.rules, self.tally, read_now=read_now)
         self.user, self._session, self._joints, self._draw = user, session, joints, draw
         self._pulse = Pulse(self.rules, self.clock, Moment(0.0, 0.0))
+        self._confirmed: Settings | None = None
         self._failures = 0
         self._since = -math.inf
         self._bye: Bye | None = None
@@ -154,8 +156,8 @@ class Core:
         return self.tally.sum_up(unsent=tape.unsent, unrecorded=tape.unrecorded)
 
     def query(self) -> dict[str, str | int | float]:
-        """Give the parameters of the stream's URL."""
-        wanted = self.settings
+        """Give the parameters of the stream's URL, with settings that were accepted if any were."""
+        wanted = self._confirmed or self.settings
         given: dict[str, str | int | float] = {
             "session": self._session,
             "version": wanted.version,
@@ -258,7 +260,7 @@ class Core:
     def _open(self, hello: Hello, now: Moment) -> list[Event]:
         self.phase, self.hello, self._joints = Phase.OPEN, hello, hello.joints
         self._since, self._pulse = now.mono, Pulse(self.rules, self.clock, now)
-        self.version, self.waiting = hello.version, None
+        self.version, self.waiting, self._confirmed = hello.version, None, hello.settings
         self._incoming.forget_answer()
         self.tally.connections += 1
         given = hello.limits.get("max_rate_hz", MAX_RATE_HZ)
@@ -299,11 +301,15 @@ class Core:
             self.waiting = message.reason
         elif isinstance(message, VersionChanged):
             self.version = message.version
+        elif isinstance(message, Configured):
+            self._confirmed = message.settings
 
     def _note_error(self, error: ServiceError) -> None:
         self.last_error = self._fault = error
         known = error.code in self.tally.errors or len(self.tally.errors) < _CODES_KEPT
         self.tally.errors[error.code if known else "others"] += 1
+        if error.code in _REFUSED_SETTINGS and self._confirmed is not None:
+            self.settings = self._confirmed  # or every reconnect would ask for the same again
         self.outgoing.hear_error(error)
 
     def _take_forecast(self, message: WireForecast, now: Moment) -> None:

@@ -30,12 +30,12 @@ class Target(NamedTuple):
     Attributes:
         url: of the service, http or https.
         user: whose stream.
-        key: the API key, None for none.
+        key: the API key.
     """
 
     url: str
     user: str
-    key: str | None
+    key: str
 
 
 class Link:
@@ -88,7 +88,7 @@ class Link:
         ending = asyncio.ensure_future(self._end.wait())
         try:
             while not self._end.is_set() and not self._is_over():
-                await _until(ending, self._attend())
+                await _until(ending, self._attend_safely())
                 await _until(ending, self._rest())
         finally:
             ending.cancel()
@@ -106,6 +106,14 @@ class Link:
         if is_resting:
             await asyncio.sleep(max(0.0, until - time.monotonic()))
 
+    async def _attend_safely(self) -> None:
+        """Make one connection; a defect costs that one, and not the robot's forecasts."""
+        try:
+            await self._attend()
+        except Exception as error:
+            log.exception("a connection ended by a defect of the client")
+            self._report_lost(self.core.connection, BROKEN, f"{type(error).__name__}: {error}")
+
     async def _attend(self) -> None:
         """Make one connection and serve it to its end."""
         with self._lock:
@@ -118,7 +126,7 @@ class Link:
             socket = await connect(
                 find_stream_url(url, user, query),
                 subprotocols=[Subprotocol(subprotocol)],
-                additional_headers={} if key is None else {"Authorization": f"Bearer {key}"},
+                additional_headers={"Authorization": f"Bearer {key}"},
                 compression=None,
                 max_size=MAX_MESSAGE_BYTES,
                 open_timeout=open_s,

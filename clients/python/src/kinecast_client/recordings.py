@@ -25,7 +25,7 @@ class RecordingStatus:
         stored_seq: the newest frame that is in the database, None for none.
         clips_dropped: clips that lost frames in the service.
         job: the fine-tuning job, once it is stored and one was asked for.
-        error: what was last wrong with it, as `code: message`; None where nothing was.
+        error: what was last wrong with it; None where nothing was.
     """
 
     trial: str
@@ -92,7 +92,7 @@ class Taking:
         self.code = error.code
         self._change(
             state="failed" if is_fatal else self.status.state,
-            error=f"{error.code}: {error.message}",
+            error=error.message,
         )
 
     def is_quiet(self, now: float) -> bool:

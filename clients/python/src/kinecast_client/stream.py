@@ -137,6 +137,7 @@ class Stream(StreamBase):
 
         Raises:
             RecordingError: another recording of this stream is not over yet.
+            ValueError: the label or the id cannot be one.
         """
         return Recording(self, self._start_recording(trial, label))
 

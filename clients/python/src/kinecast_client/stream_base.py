@@ -10,6 +10,7 @@ from uuid import uuid4
 
 import msgspec
 
+from kinecast_client.checks import check_label, check_settings, check_trial
 from kinecast_client.clock import Moment
 from kinecast_client.core import Core, Phase
 from kinecast_client.errors import KinecastError, RecordingError, UnreachableError
@@ -109,17 +110,21 @@ class StreamBase:
     ) -> None:
         """Change how forecasts are made, now and after every reconnect; what is None stays.
 
-        What makes no sense comes back as an error of the service; see `last_error`.
+        A version that there is not comes back as an error of the service; see `last_error`.
 
         Args:
             forecast_every: answer every n-th frame, 1 to 600.
             coverage: probability for `radius`, above 0 and below 1.
             version: `active`, `base` or a number.
+
+        Raises:
+            ValueError: an argument is out of its range.
         """
         given = {"forecast_every": forecast_every, "coverage": coverage, "version": version}
         changes = {name: value for name, value in given.items() if value is not None}
         with self._lock:
-            self._core.configure(msgspec.structs.replace(self._core.settings, **changes))
+            wanted = msgspec.structs.replace(self._core.settings, **changes)
+            self._core.configure(check_settings(wanted))
         self._link.wake()
 
     def reset(self) -> None:
@@ -191,17 +196,20 @@ class StreamBase:
 
     def _explain_absence(self) -> KinecastError:
         """Say why the stream is not open."""
-        why = self._core.last_failure or "no answer yet"
+        is_closed = self._core.phase is Phase.CLOSED
+        why = "it was closed" if is_closed else self._core.last_failure or "no answer yet"
         return UnreachableError(f"No stream of {self._core.user}: {why}.")
 
     def _start_recording(self, trial: str | None, label: str | None) -> Taking:
+        label = check_label(label)
+        trial = str(uuid4()) if trial is None else check_trial(trial)
         with self._lock:
             taking = self._core.outgoing.taking
             if taking is not None and not taking.status.is_over:
                 raise RecordingError(
                     "trial_conflict", f"Trial {taking.status.trial} is being recorded; stop it."
                 )
-            taking = self._core.outgoing.start_recording(trial or str(uuid4()), label, self._now())
+            taking = self._core.outgoing.start_recording(trial, label, self._now())
         self._link.wake()
         return taking
 
@@ -226,7 +234,11 @@ class RecordingBase:
         """Begin a clip; `action` names what the person does. Never waits.
 
         The first clip is there from the start, and is only named while it has no frame.
+
+        Raises:
+            ValueError: the name is empty, too long, or has control characters.
         """
+        check_label(action)
         self._do(lambda outgoing: outgoing.start_clip(action))
 
     def pause(self) -> None:

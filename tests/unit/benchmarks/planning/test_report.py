@@ -10,11 +10,12 @@ import pytest
 from benchmarks.planning import __main__ as command
 from benchmarks.planning import tune
 from benchmarks.planning.figure import draw
-from benchmarks.planning.measures import MEASURES, Tally, draw_clips, estimate
+from benchmarks.planning.measures import MEASURES, Estimate, Tally, draw_clips, estimate
 from benchmarks.planning.people import METHODS, find_version
 from benchmarks.planning.report import Report
 from benchmarks.planning.robot import Constants
 from benchmarks.planning.rounds import Round
+from tests.conftest import ROOT
 
 MARGINS = (0.1, 0.2)
 
@@ -114,3 +115,38 @@ def test_kept_version_is_not_fitted_again(tmp_path, monkeypatch):
     (tmp_path / "key.safetensors").write_bytes(b"kept")
     clip = Clip(np.zeros((20, 20, 3), np.float32), "2", "1", "1", "utd-mhad")
     assert find_version([clip], say=print, folder=tmp_path) == b"kept"
+
+
+KEPT = json.loads(command.JSON.read_text())
+PAGE = (ROOT / "docs/planning.md").read_text()
+
+
+def tell(found, *, sign=False):
+    """Write kept figures as a row of a table."""
+    estimates = {name: Estimate(**found[name]) for name in MEASURES}
+    return " | ".join(one.tell(MEASURES[name].digits, sign=sign) for name, one in estimates.items())
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_page_has_the_figures_that_are_kept(method):
+    chosen = f"{KEPT['constants']['margin']:g}"
+    assert f"| {method} | {tell(KEPT['margins'][chosen][method])} |" in PAGE
+
+
+def test_page_has_the_differences_that_are_kept():
+    for names, found in KEPT["differences"][f"{KEPT['constants']['margin']:g}"].items():
+        assert f"| {names.replace(' - ', ' less ')} | {tell(found, sign=True)} |" in PAGE
+
+
+def test_kept_constants_are_the_best_of_those_that_were_tried():
+    best = max(KEPT["tuned"], key=lambda row: row["score"])
+    assert best["weight"] == KEPT["constants"]["weight"]
+    assert best["margin"] == KEPT["constants"]["margin"]
+
+
+def test_first_page_has_the_figures_that_are_kept():
+    close = [KEPT["margins"]["0.2"][name]["too_close_s_per_min"]["value"] for name in METHODS[:3]]
+    without, base, personal = (f"{value:.1f} s" for value in close)
+    page = (ROOT / "README.md").read_text()
+    assert f"than 10 cm for {without} a minute" in page
+    assert f"{base} with the base's forecasts, {personal} with their own version's" in page

@@ -115,7 +115,7 @@ def to_ros(points: npt.ArrayLike, up: str) -> Array:
     Args:
         points: as the sensor gives them, metres: [..., 3].
         up: the user's: `y` (Kinect: x to the sensor's left, z away from it), `-y` (optical frames:
-            x right, z away) or `z` (ROS already).
+            x right, z away) or `z` (ROS already: nothing is turned).
 
     Raises:
         ValueError: another `up`.

@@ -1,8 +1,10 @@
 """A forecast as ROS 2 messages: plain dicts with the fields of the real definitions.
 
-A dict has only fields that are set; `rosidl_runtime_py.set_message_fields` turns it into a message.
-Positions are in ROS's axes (REP 103), in the frame of the sensor. Bodies, topics and frames are
-named by REP 155. That REP does not speak of forecasts: ours lie below the body, in `forecast`.
+A dict has only fields that are set; `rosidl_runtime_py.set_message_fields` makes it a message.
+Positions are turned into ROS's axes (REP 103) by the user's `up`; `frame_id` names a frame that
+lies so at the sensor. Where TF knows the sensor's own frame, an optical one for example, give that,
+and `up="z"`, which turns nothing. Bodies, topics and frames are named by REP 155. That REP does not
+speak of forecasts: ours lie below the body, in `forecast`.
 
 Time. A marker and a trajectory are stamped with the capture time of the newest frame that was used,
 as anything measured is. A skeleton or joint state of the future is stamped with the time that it is

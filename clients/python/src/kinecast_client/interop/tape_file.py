@@ -57,8 +57,8 @@ class Frame:
     """
 
     t: float
-    joints: npt.NDArray[np.float64] | None
-    confidence: npt.NDArray[np.float64] | None = None
+    joints: npt.NDArray[np.floating[Any]] | None
+    confidence: npt.NDArray[np.floating[Any]] | None = None
     seq: int | None = None
 
 
@@ -138,10 +138,10 @@ class TapeWriter:
         self._add(FRAMES, at, message)
         if frame.joints is None:
             return
-        drawn = self._drawing
-        self._add("/observed", at, foxglove.make_observed_scene(frame.joints, at, **drawn))
+        drawn, pose = self._drawing, np.asarray(frame.joints, dtype=np.float64)
+        self._add("/observed", at, foxglove.make_observed_scene(pose, at, **drawn))
         body = name_body(self.about.user)
-        moved = foxglove.make_frame_transforms(frame.joints, at, body=body, **drawn)
+        moved = foxglove.make_frame_transforms(pose, at, body=body, **drawn)
         self._add("/tf", at, moved)
 
     def write_forecast(self, forecast: Forecast) -> None:
