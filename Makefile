@@ -52,8 +52,9 @@ lint: $(VENV)/.test ## style and common errors
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 
-types: $(VENV)/.test ## mypy --strict
+types: $(VENV)/.test ## mypy --strict; the client for the oldest Python that it takes as well
 	$(BIN)/mypy
+	$(BIN)/mypy --python-version 3.10 clients/python/src
 
 imports: $(VENV)/.test ## the layers of the code, as contracts
 	$(BIN)/lint-imports

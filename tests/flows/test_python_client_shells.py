@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
@@ -25,6 +25,7 @@ from kinecast_client import (
     Stopped,
     StoppedError,
     UnreachableError,
+    UserDeletedError,
     Waiting,
 )
 from kinecast_client.samples import JOINTS, waving_person
@@ -42,6 +43,13 @@ def server(tmp_path_factory) -> Iterator[RealServer]:
     with serve(make_settings(tmp_path_factory.mktemp("service"))) as running:
         running.add_user("ada")
         yield running
+
+
+def _await(is_so: Callable[[], object]) -> None:
+    end = time.monotonic() + 20.0
+    while not is_so():
+        assert time.monotonic() < end
+        time.sleep(0.02)
 
 
 @contextmanager
@@ -77,10 +85,7 @@ def test_callbacks_get_every_kind_of_news_and_their_mistakes_stop_nothing(server
         client.stream("ada", on_forecast=use, on_event=events.append) as stream,
         sending(stream),
     ):
-        end = time.monotonic() + 20.0
-        while len(seen) < 10:
-            assert time.monotonic() < end
-            time.sleep(0.02)
+        _await(lambda: len(seen) >= 10)
         assert stream.statistics().callback_errors == 1
     assert seen == sorted(set(seen))
     assert isinstance(events[0], Connected)
@@ -99,10 +104,7 @@ def test_a_slow_callback_gets_the_newest_forecast(server):
         client.stream("ada", on_forecast=dawdle) as stream,
         sending(stream),
     ):
-        end = time.monotonic() + 20.0
-        while len(ages) < 5:
-            assert time.monotonic() < end
-            time.sleep(0.02)
+        _await(lambda: len(ages) >= 5)
         assert stream.statistics().forecasts > len(ages)
     assert max(ages) < 1.0  # in turn, the fifth would have waited for longer
 
@@ -157,6 +159,8 @@ def test_a_key_that_may_not_record_says_so(server):
         with pytest.raises(RecordingError, match="scope record") as refused:
             stream.record().stop()
         assert refused.value.code == "forbidden"
+        with pytest.raises(RecordingError), stream.record() as other:
+            _await(lambda: other.status.is_over)
         assert stream.state == "open"
 
 
@@ -174,10 +178,7 @@ def test_a_refusal_is_raised_by_whatever_waits(server):
             next(iter(stream))
         assert stream.latest() is None
         assert stream.state == "stopped"
-        end = time.monotonic() + 5.0
-        while not stopped:
-            assert time.monotonic() < end
-            time.sleep(0.01)
+        _await(lambda: stopped)
         assert isinstance(stopped[-1], Stopped)
 
 
@@ -374,3 +375,16 @@ def test_a_program_ends_though_it_closed_nothing(server):
         check=False,
     )
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_the_reason_of_a_close_is_read_though_frames_are_on_their_way(server):
+    """Frames that are sent into a connection which is closing must not hide why it closes."""
+    for number in range(5):
+        user = f"brief-{number}"
+        server.add_user(user)
+        with Client(server.http, ADMIN_KEY) as client, client.stream(user) as stream:
+            with sending(stream):
+                client.users.delete(user)
+                _await(lambda: stream.state == "stopped")
+            with pytest.raises(UserDeletedError, match="user_deleted"):
+                stream.check()

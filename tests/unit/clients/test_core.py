@@ -319,7 +319,22 @@ def test_no_more_is_sent_than_the_service_reads(rig):
         rig.now += 1 / 18.1
         rig.offer()
         sent += len(rig.drain())
-    assert sent <= 20 + 20 * 100 / 18.1
+    assert sent <= 20 + 1.05 * 20 * 100 / 18.1
+
+
+def test_the_full_rate_of_the_service_is_kept_up_for_minutes(rig):
+    late = []
+    for step in range(120 * 120):
+        rig.now += 1 / 120
+        rig.core.tick(rig.moment())
+        newest = rig.offer()
+        sent = rig.drain()
+        rig.hear("waiting", seq=newest, t=rig.now, reason="warm_up", have_s=0.0, need_s=0.45)
+        if step % 60 == 0:
+            rig.hear("ping", id=1, server_t=rig.now)
+        numbers = [message["seq"] for message in sent if message["type"] == "frame"]
+        late.append(newest - numbers[-1] if numbers else 99)
+    assert max(late) == 0
 
 
 def test_pings_of_the_service_are_answered_with_the_clock_of_the_frames(rig):
@@ -486,3 +501,6 @@ def test_a_closed_stream_does_nothing_any_more(rig):
     assert rig.offer() is None
     assert rig.drain() == []
     assert rig.lose() == []
+    rig.dial()  # another thread was about to
+    assert rig.core.phase is Phase.CLOSED
+    assert rig.greet() == []

@@ -106,8 +106,9 @@ def test_a_forecast_of_a_frame_that_waits_to_be_sent_is_not_taken(rig):
 def test_a_forecast_for_another_time_is_not_taken(rig):
     (seq,) = rig.stream()
     rig.answer(seq, rig.now + 0.01)
+    rig.hear("forecast", **(rig.forecast(seq, rig.now) | {"t": rig.now + 0.01}))
     assert rig.latest is None
-    assert rig.statistics.mismatched == 1
+    assert rig.statistics.mismatched == 2
 
 
 def as_sent(rig: Rig, array: np.ndarray) -> object:

@@ -157,7 +157,7 @@ class AsyncClient:
 
         Raises:
             ValueError: an argument is out of its range.
-            RuntimeError: the client was closed.
+            RuntimeError: the client was closed, or no event loop is running.
         """
         if self._is_closed:
             raise RuntimeError("the client was closed")

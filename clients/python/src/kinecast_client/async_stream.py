@@ -10,7 +10,7 @@ from types import TracebackType
 from typing import Any
 
 from kinecast_client.core import Phase
-from kinecast_client.errors import DeadlineError, StoppedError
+from kinecast_client.errors import DeadlineError, KinecastError, StoppedError
 from kinecast_client.events import Event
 from kinecast_client.forecasts import Forecast
 from kinecast_client.link import Target
@@ -230,8 +230,13 @@ class AsyncRecording(RecordingBase):
         trace: TracebackType | None,
     ) -> None:
         """Stop it, unless that was done already."""
-        if not self.status.is_over:
-            await self.stop(finetune=kind is None)
+        if kind is None and not self.status.is_over:
+            await self.stop()
+        elif kind is None:
+            self._judge()
+        elif not self.status.is_over:
+            with suppress(KinecastError):  # the block's own exception says more
+                await self.stop(finetune=False)
 
     async def stop(self, *, finetune: bool = True, timeout_s: float = STOP_S) -> RecordingStatus:
         """End it and wait until it is stored; `job` is the fine-tuning that was asked for.

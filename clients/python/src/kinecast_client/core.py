@@ -171,7 +171,9 @@ class Core:
     def dial(self, now: Moment) -> int:
         """Begin a connection and give its number; what comes from older ones is ignored."""
         self.connection += 1
-        self.phase, self.hang_up, self._since = Phase.DIALLING, None, now.mono
+        self.hang_up, self._since = None, now.mono
+        if not self.is_over:  # it may have been closed a moment ago, from another thread
+            self.phase = Phase.DIALLING
         self._bye = self._fault = None
         self._was_good = False
         self._incoming.forget_questions()

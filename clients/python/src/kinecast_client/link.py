@@ -8,7 +8,7 @@ from collections.abc import Callable, Coroutine
 from contextlib import suppress
 from typing import Any, NamedTuple
 
-from websockets import ConnectionClosed, InvalidURI, Subprotocol, WebSocketException
+from websockets import ConnectionClosed, InvalidStatus, Subprotocol, WebSocketException
 from websockets.asyncio.client import ClientConnection, connect
 
 from kinecast_client.address import find_stream_url, is_loopback
@@ -135,27 +135,30 @@ class Link:
                 proxy=None if is_loopback(url) else True,
                 write_limit=WRITE_BYTES,
             )
-        except (OSError, asyncio.TimeoutError, WebSocketException, InvalidURI, EOFError) as error:
-            self._report_lost(number, BROKEN, f"{error}" or type(error).__name__)
+        except (OSError, asyncio.TimeoutError, WebSocketException, EOFError) as error:
+            self._report_lost(number, BROKEN, _explain(error, url))
             return
         await self._serve(socket, number)
 
     async def _serve(self, socket: ClientConnection, number: int) -> None:
         with self._lock:
             self.core.connected(number)
-        parts = [
-            asyncio.ensure_future(part)
-            for part in (self._read(socket, number), self._write(socket), self._tick())
-        ]
+        reader = asyncio.ensure_future(self._read(socket, number))
+        others = (asyncio.ensure_future(part) for part in (self._write(socket), self._tick()))
+        parts = (reader, *others)
         try:
             await asyncio.wait(parts, return_when=asyncio.FIRST_COMPLETED)
             with self._lock:
                 is_dead = self.core.hang_up is not None
+            if not is_dead:  # the last messages say why the service closes
+                await asyncio.wait({reader}, timeout=CLOSE_S)
             for part in parts:
                 part.cancel()
             if is_dead:
                 socket.transport.abort()
-            await asyncio.gather(*parts, return_exceptions=True)
+            for outcome in await asyncio.gather(*parts, return_exceptions=True):
+                if isinstance(outcome, Exception):
+                    raise outcome
             code, reason = (BROKEN, "") if is_dead else await _find_end(socket)
             self._report_lost(number, code, reason or "the connection broke")
         finally:
@@ -204,6 +207,13 @@ class Link:
             events = self.core.lost(number, code, reason, self.now())
         log.info("stream of %s lost: %s (%d)", self._target.user, reason, code)
         self._tell(events)
+
+
+def _explain(error: Exception, url: str) -> str:
+    if isinstance(error, InvalidStatus):
+        status = error.response.status_code
+        return f"{url} answers with HTTP status {status} and opens no stream; is the address right?"
+    return str(error) or type(error).__name__
 
 
 async def _find_end(socket: ClientConnection) -> tuple[int, str]:

@@ -7,11 +7,12 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
+from contextlib import suppress
 from types import TracebackType
 from typing import Any
 
 from kinecast_client.core import Phase
-from kinecast_client.errors import DeadlineError, StoppedError
+from kinecast_client.errors import DeadlineError, KinecastError, StoppedError
 from kinecast_client.events import Event
 from kinecast_client.forecasts import Forecast
 from kinecast_client.link import CLOSE_S, Target
@@ -217,8 +218,13 @@ class Recording(RecordingBase):
         trace: TracebackType | None,
     ) -> None:
         """Stop it, unless that was done already."""
-        if not self.status.is_over:
-            self.stop(finetune=kind is None)
+        if kind is None and not self.status.is_over:
+            self.stop()
+        elif kind is None:
+            self._judge()
+        elif not self.status.is_over:
+            with suppress(KinecastError):  # the block's own exception says more
+                self.stop(finetune=False)
 
     def stop(self, *, finetune: bool = True, timeout_s: float = STOP_S) -> RecordingStatus:
         """End it and wait until it is stored; `job` is the fine-tuning that was asked for.
