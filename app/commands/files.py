@@ -18,7 +18,9 @@ def read_clips(path: Path, subjects: str | None) -> list[Clip]:
     rate_hz = MotionSpec().rate_hz
     for clip in clips:
         if clip.rate_hz != rate_hz:
-            told = f"{path}: {clip.source} has {clip.rate_hz:g} Hz; bring it to {rate_hz:g} Hz first"
+            told = (
+                f"{path}: {clip.source} has {clip.rate_hz:g} Hz; bring it to {rate_hz:g} Hz first"
+            )
             fail(told, status=2)
     return clips
 
