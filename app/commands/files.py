@@ -6,14 +6,23 @@ from pathlib import Path
 from app.commands.output import fail
 from models.data.clips import Clip, load_clips
 from models.data.utd_mhad import RecordingError
+from models.spec import MotionSpec
 
 
 def read_clips(path: Path, subjects: str | None) -> list[Clip]:
     """Read recordings of all subjects or of some, such as 1,3,5; on failure say so and exit."""
     try:
-        return load_clips(path, subjects=subjects.split(",") if subjects else None)
+        clips = load_clips(path, subjects=subjects.split(",") if subjects else None)
     except (OSError, RecordingError) as error:
         fail(str(error), status=2)
+    rate_hz = MotionSpec().rate_hz
+    for clip in clips:
+        if clip.rate_hz != rate_hz:
+            told = (
+                f"{path}: {clip.source} has {clip.rate_hz:g} Hz; bring it to {rate_hz:g} Hz first"
+            )
+            fail(told, status=2)
+    return clips
 
 
 def refuse_place(option: str, path: Path) -> None:
