@@ -84,6 +84,7 @@ class Window:
         )
 
     def shoot(self, name: str) -> None:
+        self.page.evaluate("scrollTo(0, 0)")
         self.page.screenshot(path=SCREENSHOTS / f"{name}.png")
 
 

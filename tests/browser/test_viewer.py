@@ -148,7 +148,7 @@ def test_the_picture_pauses_and_goes_back_while_the_stream_goes_on(window):
         assert window.ask(f"main.view.show.{name}") is not before
     page.click("#views button:has-text('Side')")
     assert window.ask("main.stage.view") == "side"
-    page.click("#error-caption button:has-text('333')")
+    page.click("[data-key=horizon-10]")
     assert window.ask("main.view.horizon") == 10
 
 

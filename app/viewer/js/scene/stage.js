@@ -60,7 +60,7 @@ export class Stage {
     if (view === 'sensor') way.y = 0.18;
     if (view === 'corner') way.y = 0.3;
     way.normalize();
-    const wide = 1.2 + 1.3 * Math.max(1, this.people ?? 1);
+    const wide = 1.4 + 1.35 * Math.max(1, this.people ?? 1);
     const half = Math.tan((this.camera.fov * Math.PI) / 360);
     const far = Math.max(2.5 / (2 * half), wide / (2 * half * this.camera.aspect)) + 0.5;
     this.controls.target.copy(LOOK_AT);
