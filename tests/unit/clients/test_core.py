@@ -360,6 +360,7 @@ def test_a_clock_that_was_restarted_is_compared_anew(rig):
     rig.hear("pong", id=ping["id"], t=ping["t"], server_t=rig.now + 500.0, engine_ms=1.0)
     rig.stream()
     assert rig.core.clock.offset_s == pytest.approx(500.0, abs=0.1)
+    rig.hear("waiting", seq=0, t=rig.now, reason="warm_up", have_s=0.0, need_s=0.45)
     rig.now += 6.0
     rig.core.tick(rig.moment())
     (ping,) = [message for message in rig.drain() if message["type"] == "ping"]
@@ -438,6 +439,7 @@ def test_a_service_without_a_hello_is_given_up(rig):
         {"epoch": 0},
         {"joints": [], "epoch": 2},
         {"horizon": 0},
+        {"horizon": 2**40},
         {"rate_hz": 0.0},
     ],
 )
