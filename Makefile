@@ -10,7 +10,7 @@ TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 TORCH := torch==2.13.0
 
 .DEFAULT_GOAL := help
-.PHONY: docs planning studies study-bases study-main study-everybody study-unseen study-growth study-wild study-seconds study-ablation coverage live peers where personal reproduce stream-check performance picture crowd faults help serve test lint types imports check-migrations unit clean
+.PHONY: docs planning viewer-frames screenshots studies study-bases study-main study-everybody study-unseen study-growth study-wild study-seconds study-ablation coverage live peers where personal reproduce stream-check performance picture crowd faults help serve test lint types imports check-migrations unit clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
@@ -137,6 +137,12 @@ docs: $(VENV)/.docs ## these pages as HTML in build/site, without anything from 
 
 picture: $(VENV)/.test ## draw docs/figures/demo.svg
 	$(BIN)/python -m benchmarks.picture $(ARGS)
+
+viewer-frames: $(VENV)/.test ## pictures per second of the viewer, drawn in software; on an idle machine (40 s)
+	$(BIN)/python -m benchmarks.viewer_frames $(ARGS)
+
+screenshots: $(VENV)/.test ## the pictures of the viewer in docs/figures (about 4 min)
+	$(BIN)/python -m benchmarks.viewer_pictures $(ARGS)
 
 clean: ## remove the virtual environment and caches
 	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .hypothesis build *.egg-info

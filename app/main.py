@@ -114,6 +114,7 @@ def create_app(
     state.housekeeper = _make_housekeeper(state.registry, state.database, settings)
     state.worker = worker
     state.draining = False
+    state.viewer_code = None  # a OneTimeCode where a terminal shows one
     for part in ROUTES:
         app.include_router(part.router)
     errors.install(app)

@@ -1,15 +1,15 @@
-"""`/v1/admin/keys`: who may do what."""
+"""`/v1/admin/keys`: who may do what; `/v1/viewer/redeem`: the first key of all, for the viewer."""
 
 from uuid import UUID
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Request
 
 from app.api.dependencies import PAGE_SIZE, Admin, After, DatabaseNeeded, JsonBody, PageSize
 from app.api.openapi import DENIED, needs, problems
-from app.api.schemas import KeyIn, KeyOut, NewKeyOut, PageOut
+from app.api.schemas import CodeIn, CodeOut, KeyIn, KeyOut, NewKeyOut, PageOut
 from app.domain import errors
-from app.domain.access import Scope
-from app.domain.errors import InvalidError
+from app.domain.access import OneTimeCode, Scope
+from app.domain.errors import InvalidError, UnauthorizedError
 from app.storage import keys, users
 
 router = APIRouter(tags=["keys"])
@@ -68,3 +68,18 @@ async def revoke_key(key: UUID, caller: Admin, database: DatabaseNeeded) -> None
     """Revoke a key for good; its open streams close within 2 s."""
     async with database.write() as tx:
         await keys.revoke(tx, key, actor=caller.key_id)
+
+
+@router.post(
+    "/v1/viewer/redeem",
+    summary="Exchange a one-time code",
+    openapi_extra=needs(None),
+    responses=problems(errors.UnauthorizedError, InvalidError),
+)
+async def redeem_code(body: CodeIn, request: Request) -> CodeOut:
+    """Give the viewer its key for the code in the address that the terminal shows, once."""
+    known: OneTimeCode | None = request.app.state.viewer_code
+    key = None if known is None else known.redeem(body.code)
+    if key is None:
+        raise UnauthorizedError("This address was used before or is too old. Sign in with a key.")
+    return CodeOut(key=key)

@@ -170,6 +170,20 @@ class NewKeyOut(KeyOut):
     key: str = Field(description="The key itself; it is shown only here.")
 
 
+class CodeIn(RequestModel):
+    """The one-time code of the address that the terminal shows."""
+
+    model_config = ConfigDict(json_schema_extra=_examples({"code": "q0Z1…"}))
+
+    code: Annotated[str, Field(min_length=1, max_length=200)]
+
+
+class CodeOut(AnswerModel):
+    """What it stands for."""
+
+    key: str = Field(description="An admin key; the code cannot be used again.")
+
+
 class SkeletonJoint(AnswerModel):
     """One joint of a format."""
 

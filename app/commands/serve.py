@@ -13,6 +13,7 @@ from typing import Annotated, NamedTuple
 import typer
 
 from app.commands.output import fail, out
+from app.domain.access import OneTimeCode
 from app.settings import Settings, load_settings
 
 SWITCH_S = 1e-3
@@ -52,6 +53,7 @@ def _run(settings: Settings, listener: socket.socket, *, with_worker: bool) -> N
     address = _name_address(listener)
     worker = EmbeddedWorker(settings.data_dir) if with_worker else None
     application = create_app(settings, worker=worker)
+    application.state.viewer_code = key.code
     asyncio.run(_register_base(settings))  # now that it could be loaded
     server = make_server(application, settings, on_ready=lambda: _get_going(address, key))
     server.run(sockets=[listener])
@@ -81,6 +83,7 @@ class _Key(NamedTuple):
 
     where: str
     prefix: str
+    code: OneTimeCode | None = None
 
 
 async def _prepare(settings: Settings) -> _Key:
@@ -127,7 +130,8 @@ def _show_key(settings: Settings, made: str | None) -> _Key:
 
     path = settings.data_dir / ADMIN_KEY_FILE
     if made is not None and sys.stdout.isatty():
-        return _Key(f"{made}  (shown only now; keep it)", f"KINECAST_KEY={made} ")
+        where = f"{made}  (shown only now; keep it)"
+        return _Key(where, f"KINECAST_KEY={made} ", OneTimeCode(made))
     if settings.admin_key is not None:
         return _Key("the one in KINECAST_ADMIN_KEY", "KINECAST_KEY=$KINECAST_ADMIN_KEY ")
     if path.is_file() and path.stat().st_size:
@@ -152,6 +156,8 @@ def _greet(address: str, key: _Key) -> None:
     command = "kinecast" if shutil.which("kinecast") else shlex.quote(sys.argv[0])
     out.print(f"Kinecast is ready at {address}", style="bold", markup=False)
     out.print(f"  Admin key  {key.where}", markup=False)
+    code = f"#code={key.code.code}" if key.code else ""
+    out.print(f"  Viewer     {address}/{code}", markup=False, soft_wrap=True)
     out.print(f"  API        {address}/docs", markup=False)
     out.print(f"  Try it     {key.prefix}{command} demo --url {address}", markup=False)
     out.print("  Stop       Ctrl+C", markup=False)

@@ -10,6 +10,8 @@ import hmac
 import re
 import secrets
 import string
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
@@ -24,6 +26,9 @@ BOOTSTRAP_KEY_MIN_LENGTH = 32
 
 _ALPHABET = string.ascii_letters + string.digits
 _SECRET_LENGTH = 43
+_CODE_BYTES = 24
+CODE_LASTS_S = 900.0
+"""How long the one-time code of the terminal can be used."""
 _KEY_PATTERN = re.compile(rf"kc_([0-9a-f]{{32}})_[A-Za-z0-9]{{{_SECRET_LENGTH}}}")
 
 
@@ -133,3 +138,30 @@ def hash_key(text: str) -> bytes:
 def matches_key(text: str, stored: bytes) -> bool:
     """Compare a key with a stored hash, in constant time."""
     return hmac.compare_digest(hash_key(text), stored)
+
+
+class OneTimeCode:
+    """Stands for a key in an address that a terminal shows, and can be exchanged for it once.
+
+    So the key itself is in no address, no history and no log of a proxy.
+
+    Args:
+        key: what it is exchanged for.
+        clock: seconds, ever growing.
+    """
+
+    def __init__(self, key: str, *, clock: Callable[[], float] = time.monotonic) -> None:
+        self.code = secrets.token_urlsafe(_CODE_BYTES)
+        self._clock = clock
+        self._until = clock() + CODE_LASTS_S
+        self._key: str | None = key
+
+    def redeem(self, code: str) -> str | None:
+        """Give the key for the code; None where it is wrong, too old or was used."""
+        if self._key is None or self._clock() > self._until:
+            self._key = None
+            return None
+        if not hmac.compare_digest(code.encode(), self.code.encode()):
+            return None
+        key, self._key = self._key, None
+        return key

@@ -35,6 +35,7 @@ GET /v1/admin/jobs
 GET /v1/admin/jobs/{job}
 POST /v1/admin/jobs/{job}/cancel
 GET /v1/admin/jobs/{job}/events
+POST /v1/viewer/redeem
 """
 
 

@@ -22,6 +22,7 @@ OPEN_ROUTES = {
     "GET /v1/skeletons",
     "GET /v1/limits",
     "GET /v1/quality",
+    "POST /v1/viewer/redeem",
 }
 PREDICT_ROUTES = {
     "POST /v1/users/{user}/forecast",

@@ -5,10 +5,12 @@ import hashlib
 import json
 import re
 import tomllib
+from functools import partial
 
 import pytest
 
 from app.api.pages import VIEWER, list_assets
+from app.domain.access import CODE_LASTS_S, OneTimeCode
 from tests.conftest import ROOT
 from tests.support import make_settings, run_service
 
@@ -117,3 +119,22 @@ def test_modules_are_small():
 def test_an_installed_service_has_the_viewer():
     config = tomllib.loads((ROOT / "pyproject.toml").read_text())
     assert config["tool"]["setuptools"]["package-data"]["app"] == ["viewer/**/*"]
+
+
+@pytest.mark.asyncio
+async def test_the_code_of_the_terminal_gives_its_key_once_and_for_a_while(tmp_path):
+    now = [0.0]
+    async with run_service(make_settings(tmp_path)) as service:
+        redeem = partial(service.call, "POST", "/v1/viewer/redeem", key=None)
+        assert (await redeem(json={"code": "any"})).status_code == 401
+        code = OneTimeCode("kc_key", clock=lambda: now[0])
+        service.app.state.viewer_code = code
+        assert (await redeem(json={"code": "wrong"})).status_code == 401
+        right = {"code": code.code}
+        answer = await redeem(json=right)
+        assert (answer.status_code, answer.json()) == (200, {"key": "kc_key"})
+        assert (await redeem(json=right)).status_code == 401
+        late = OneTimeCode("kc_key", clock=lambda: now[0])
+        service.app.state.viewer_code = late
+        now[0] = CODE_LASTS_S + 1
+        assert (await redeem(json={"code": late.code})).status_code == 401

@@ -173,7 +173,7 @@ export class App extends Emitter {
 
   #tellEnd(job) {
     const text = { succeeded: `Version ${job.version} is trained.`, rejected: 'The new version did not win.', failed: 'Fine-tuning failed.' };
-    if (text[job.state]) this.toast(`${text[job.state]} ${job.message ?? ''}`, job.state === 'failed');
+    if (text[job.state]) this.toast(text[job.state], job.state === 'failed'); // the job says more
     this.refresh();
   }
 
@@ -230,6 +230,7 @@ export class App extends Emitter {
   }
 
   setAutoPromote(isOn) {
+    this.user.auto_promote = isOn; // shown at once; the answer may correct it
     return this.#act('auto', () => this.api.changeUser(this.selected, { auto_promote: isOn }));
   }
 

@@ -10,11 +10,12 @@ export const HISTORY_S = 30;
 /** Forecasts may take as long as a frame; later is a missed deadline. */
 export const DEADLINE_MS = 1000 / FPS;
 /** Frames that are sent at once after the page was held up; older ones are left out. */
-const CATCH_UP = 5;
+const CATCH_UP = 14;
 
 /**
  * @typedef {Object} Moment one frame, and what was said from it
  * @property {number} seq
+ * @property {number} n frame of the source
  * @property {number} t seconds on the clock of the stream
  * @property {Float32Array | null} joints metres, as sent
  * @property {string | null} action
@@ -116,7 +117,7 @@ export class Performer extends Emitter {
     const seq = this.seq++;
     if (this.recording?.state === 'recording') this.#nameClip(action);
     const moment = {
-      seq, t, joints: turned, action, sentAt: now(), personal: null, base: null, latencyMs: NaN,
+      seq, n, t, joints: turned, action, sentAt: now(), personal: null, base: null, latencyMs: NaN,
       errors: HORIZONS.map((ahead) => scoreFrame(turned, this.history.get(seq - ahead), ahead)),
     };
     this.history.push(moment);

@@ -6,14 +6,15 @@ import { readPalette } from './scene/palette.js';
 
 const APART_M = 1.45;
 const HALF_SECOND = 15;
-/** Frames by which what is shown lags what was sent, so that its forecast has arrived. */
-const BEHIND = 1;
+/** How far back the newest frame with a forecast may be to be shown as now. */
+const BEHIND = 12;
 
 /** What is looked at: which moment, with what, and how often it is drawn. Tells `change`. */
 export class View extends Emitter {
   #frozen = null;
   #last = 0;
   #held = new Map();
+  #shown = '';
 
   /**
    * @param {import('./app.js').App} app
@@ -49,14 +50,22 @@ export class View extends Emitter {
       return moments[moments.length - 1 - Math.round(this.back) - before];
     }
     const history = this.app.performers.get(id)?.history;
-    return history?.get(history.next - 1 - BEHIND - before);
+    return history?.get(this.#findNow(history) - before);
+  }
+
+  /** The newest frame that has been answered; the newest of all where none has. */
+  #findNow(history) {
+    for (let number = history.next - 1; number >= history.next - BEHIND; number--) {
+      if (history.get(number)?.personal) return number;
+    }
+    return history.next - 1;
   }
 
   /** Stop the picture; the stream goes on, as a robot's would. */
   pause() {
     if (!this.app.performers.size) return;
     this.#frozen = new Map([...this.app.performers].map(([id, one]) => [id, one.history.toArray()]));
-    this.back = BEHIND;
+    this.back = 1;
     this.emit('change');
   }
 
@@ -124,20 +133,32 @@ export class View extends Emitter {
     this.palette = readPalette();
     this.stage.paint(this.palette);
     for (const figure of this.figures.values()) figure.paint(this.palette);
+    this.touch();
   }
 
-  /** Draw as often as the screen does. */
+  /** Draw whenever there is something new to see, as often as the screen allows. */
   run(also) {
     const draw = (time) => {
       requestAnimationFrame(draw);
-      const spent = time - this.#last;
-      this.#last = time;
-      for (const [id, figure] of this.figures) this.#pose(id, figure);
-      this.stage.draw(spent);
-      this.drawn += 1;
       also();
+      if (!this.#isNew()) return;
+      for (const [id, figure] of this.figures) this.#pose(id, figure);
+      this.stage.draw(time - this.#last);
+      this.#last = time;
+      this.drawn += 1;
     };
     requestAnimationFrame(draw);
+  }
+
+  /** Draw once more, although nobody moved. */
+  touch() { this.#shown = ''; }
+
+  #isNew() {
+    const seen = [...this.figures.keys()].map((id) => this.momentOf(id)?.seq ?? -1);
+    const mark = `${seen}|${JSON.stringify(this.show)}|${this.app.selected}|${this.back}`;
+    const isNew = mark !== this.#shown || this.stage.hasMoved();
+    this.#shown = mark;
+    return isNew;
   }
 
   #pose(id, figure) {

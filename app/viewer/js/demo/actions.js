@@ -14,8 +14,8 @@ export const GESTURES = {
   wave: {
     seconds: 4.2,
     pose: (t, { tempo, amplitude }) => ({
-      rightOut: 0.42 + 0.22 * amplitude * Math.sin(TAU * 1.35 * tempo * t),
-      rightUp: 0.52, rightForward: 0.3, side: -0.015, nod: 0.03,
+      rightOut: 0.4 + 0.38 * amplitude * Math.sin(TAU * 0.8 * tempo * t),
+      rightUp: 0.55, rightForward: 0.3, side: -0.015, nod: 0.03,
     }),
   },
   reach: {
@@ -44,6 +44,34 @@ export const GESTURES = {
       };
     },
   },
+  squat: {
+    seconds: 4.4,
+    pose: (t, { tempo, amplitude }) => {
+      const deep = amplitude * Math.sin(Math.PI * 0.45 * tempo * t) ** 2;
+      return {
+        drop: 0.36 * deep, back: 0.16 * deep, lean: 0.04 + 0.5 * deep,
+        rightUp: -0.95 + 0.9 * deep, rightForward: 0.12 + 0.8 * deep,
+        leftUp: -0.95 + 0.9 * deep, leftForward: 0.12 + 0.8 * deep,
+      };
+    },
+  },
+  circle: {
+    seconds: 4.6,
+    pose: (t, { tempo, amplitude }) => ({
+      rightOut: 0.25 + 0.5 * amplitude * Math.sin(TAU * 0.6 * tempo * t),
+      rightUp: 0.1 + 0.5 * amplitude * Math.cos(TAU * 0.6 * tempo * t), rightForward: 0.55,
+    }),
+  },
+  throw: {
+    seconds: 3.6,
+    pose: (t, { tempo, amplitude }) => {
+      const swing = Math.sin(TAU * 0.55 * tempo * t);
+      return {
+        rightOut: 0.25, rightUp: 0.15 + 0.5 * amplitude * Math.cos(TAU * 0.55 * tempo * t),
+        rightForward: 0.15 + 0.75 * amplitude * swing, twist: 0.35 * swing, lean: 0.08 + 0.14 * swing,
+      };
+    },
+  },
   stretch: {
     seconds: 4,
     pose: (t, { tempo }) => ({
@@ -56,7 +84,7 @@ export const GESTURES = {
 
 /** How far a gesture is on, a while after its begin. */
 export function strength(t, seconds) {
-  return ease(t / 0.9) * ease((seconds - t) / 0.9);
+  return ease(t / 0.7) * ease((seconds - t) / 0.7);
 }
 
 /**
@@ -64,9 +92,9 @@ export function strength(t, seconds) {
  * @param {{from: number[], manner: any, wide: number, floor?: number}} options
  */
 export function makeWalk({ from, manner, wide }) {
-  const radius = 0.72 * manner.amplitude;
+  const radius = 0.5 * manner.amplitude;
   const long = TAU * radius;
-  const steps = 2 * Math.round(long / (2 * 0.52 * manner.amplitude));
+  const steps = 2 * Math.round(long / (2 * 0.4 * manner.amplitude));
   const stride = long / steps;
   const seconds = ((steps + 2) * 0.5) / manner.tempo;
   const follow = (s, aside) => {

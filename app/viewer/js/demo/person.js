@@ -4,7 +4,7 @@ import { randomOf } from './vectors.js';
 
 const FPS = 30;
 const PAUSE_S = 0.5;
-const WHAT = ['wave', 'walk', 'reach', 'sit', 'walk', 'clap', 'stretch'];
+const WHAT = ['wave', 'throw', 'squat', 'walk', 'circle', 'sit', 'throw', 'reach', 'clap', 'stretch'];
 
 /**
  * Somebody who does one thing after another, in the skeleton `kinect_v1`, y up, metres; the same
@@ -20,7 +20,7 @@ export class SyntheticPerson {
     this.phases = Array.from({ length: 18 }, () => vary(0, 2 * Math.PI));
     this.floor = -1.0;
     this.home = [0, 0, 2.8];
-    this.offset = Math.floor(vary(0, WHAT.length));
+    this.offset = 3 * (seed % 4);
     this.segments = [];
     this.end = 0;
   }

@@ -62,7 +62,8 @@ export class ChartPanel {
     return h('span', { class: 'segment', role: 'group', 'aria-label': 'How far ahead' }, HORIZONS.map((frames) => h('button', {
       class: 'button small', type: 'button', 'data-key': `horizon-${frames}`, 'aria-pressed': String(frames === this.view.horizon),
       onclick: () => { this.view.setHorizon(frames); this.#last = 0; },
-    }, `${Math.round((1000 * frames) / FPS)} ms`)));
+      'aria-label': `${Math.round((1000 * frames) / FPS)} ms ahead`,
+    }, `${Math.round((1000 * frames) / FPS)}${frames === HORIZONS.at(-1) ? ' ms' : ''}`)));
   }
 
   #showLatency(moments, at) {

@@ -10,7 +10,10 @@ export function showDemo(app, node) {
   }, count === 1 ? '1 person' : `${count} people`);
   const picker = h('input', {
     type: 'file', accept: '.mat,.npz,.csv', class: 'hidden', id: 'file', tabindex: '-1', 'aria-label': 'Recording',
-    onchange: (event) => event.target.files[0] && app.playFile(event.target.files[0]),
+    onchange: (event) => {
+      if (event.target.files[0]) app.playFile(event.target.files[0]);
+      event.target.value = '';
+    },
   });
   replace(node,
     h('div', { class: 'card-head' }, h('h2', { id: 'demo-title' }, 'No sensor?'),
@@ -19,6 +22,6 @@ export function showDemo(app, node) {
     h('div', { class: 'split' }, start(1), start(3)),
     h('div', { class: 'drop' },
       h('p', { class: 'muted' }, 'Or drop a recording here: UTD-MHAD .mat, .npz or .csv'),
-      h('button', { class: 'button small', type: 'button', 'data-key': 'demo-file', disabled: !isReady, onclick: () => picker.click() }, 'Choose a file'),
+      h('button', { class: 'button small', type: 'button', 'data-key': 'demo-file', disabled: !isReady, onclick: () => document.getElementById('file').click() }, 'Choose a file'),
       picker));
 }

@@ -55,7 +55,7 @@ export class Dialogs {
   openAdd() {
     const dialog = byId('add');
     if (dialog.open || this.app.phase !== 'ready') return;
-    replace(dialog, this.#makeAdd(dialog));
+    dialog.replaceChildren(this.#makeAdd(dialog)); // with empty fields
     dialog.showModal();
   }
 

@@ -1,7 +1,7 @@
 import * as THREE from 'three';
 import { toYUp } from '../space.js';
 import { Limbs } from './limbs.js';
-import { makeGhost, makeShadow, makeShell, makeSolid } from './materials.js';
+import { ghost, hull, hullDepth, makeShadow, solid } from './materials.js';
 
 /** Frames ahead at which ghosts stand: a tenth of a second and so on to half a second. */
 const GHOSTS = [3, 6, 9, 12, 15];
@@ -25,24 +25,17 @@ export class Figure {
     this.width = 3 * shape.joints;
     this.group = new THREE.Group();
     this.beside = new THREE.Group();
-    this.materials = {
-      live: makeSolid(), personal: makeGhost(0.8), base: makeGhost(0.8),
-      echo: makeGhost(0.9), personalShell: makeShell(0.3, 0.45), baseShell: makeShell(0.26, 0.45),
+    const make = (material, more) => new Limbs({ ...shape, material, ...more });
+    const many = { poses: GHOSTS.length, detail: 'coarse', order: 2 };
+    this.live = make(solid(LIVE.bone, this.head));
+    this.copy = make(solid(LIVE.bone, this.head));
+    this.echo = make(ghost(ECHO.bone, 0.9), { detail: 'coarse', order: 2 });
+    this.ghosts = { personal: make(ghost(GHOST.bone, 0.8), many), base: make(ghost(GHOST.bone, 0.8), many) };
+    const shell = { detail: 'round', order: 3 };
+    this.tubes = { personal: make(hullDepth(), shell), base: make(hullDepth(), shell) };
+    this.hulls = {
+      personal: this.tubes.personal.add(hull(0.34, 0.55), 4), base: this.tubes.base.add(hull(0.3, 0.55), 4),
     };
-    const { live, personal, base, echo, personalShell, baseShell } = this.materials;
-    this.live = new Limbs({ ...shape, poses: 1, material: live });
-    this.copy = new Limbs({ ...shape, poses: 1, material: live });
-    this.echo = new Limbs({ ...shape, poses: 1, material: echo, order: 2, shape: 'coarse' });
-    this.ghosts = {
-      personal: new Limbs({ ...shape, poses: GHOSTS.length, material: personal, order: 2, shape: 'coarse' }),
-      base: new Limbs({ ...shape, poses: GHOSTS.length, material: base, order: 2, shape: 'coarse' }),
-    };
-    this.tubes = {
-      personal: new Limbs({ ...shape, poses: 1, material: personalShell.depth, order: 3, shape: 'round' }),
-      base: new Limbs({ ...shape, poses: 1, material: baseShell.depth, order: 3, shape: 'round' }),
-    };
-    this.tubes.personal.repeat(personalShell.colour, 4);
-    this.tubes.base.repeat(baseShell.colour, 4);
     this.shadows = [0.9, 0.34, 0.34].map((wide) => {
       const spot = new THREE.Mesh(SPOT, this.shadowMaterial ??= makeShadow());
       spot.scale.setScalar(wide);
@@ -58,11 +51,12 @@ export class Figure {
 
   /** @param {Record<string, string>} palette */
   paint(palette) {
-    const { live, personal, base, echo, personalShell, baseShell } = this.materials;
-    live.color.set(palette.truth);
-    echo.uniforms.color.value.set(palette.personal);
-    for (const one of [personal, personalShell.depth, personalShell.colour]) one.uniforms.color.value.set(palette.personal);
-    for (const one of [base, baseShell.depth, baseShell.colour]) one.uniforms.color.value.set(palette.base);
+    this.colours = { personal: new THREE.Color(palette.personal), base: new THREE.Color(palette.base) };
+    for (const one of [this.live, this.copy]) one.material.uniforms.color.value.set(palette.truth);
+    for (const [name, colour] of Object.entries(this.colours)) {
+      this.ghosts[name].material.uniforms.color.value.copy(colour);
+      this.hulls[name].uniforms.color.value.copy(colour);
+    }
   }
 
   /**
@@ -75,29 +69,19 @@ export class Figure {
     const pose = moment.joints && toYUp(moment.joints, show.up);
     if (pose) this.#place(pose);
     const radius = (j) => (j === this.head ? HEAD : LIVE.joint);
-    this.live.set(0, pose, pose ? (j) => radius(j) : LIVE);
-    if (pose) this.#thin(this.live, pose);
+    this.live.set(0, pose, radius);
     const twoColours = held.personal && held.base && held.personal !== held.base;
     const personal = show.personal && twoColours ? held.personal : null;
     const base = show.base || !twoColours ? held.base : null;
     this.beside.position.x = show.beside && twoColours ? -BESIDE_M : 0;
-    this.copy.set(0, show.beside && twoColours ? pose : null, LIVE);
+    this.copy.set(0, show.beside && twoColours ? pose : null, radius);
     this.#foresee('personal', personal, show);
     this.#foresee('base', base, show);
     const said = past?.personal ?? past?.base;
     const isBase = said && said === past.base;
-    this.materials.echo.uniforms.color.value.copy(this.materials[isBase ? 'base' : 'personal'].uniforms.color.value);
+    this.echo.material.uniforms.color.value.copy(this.colours[isBase ? 'base' : 'personal']);
     const echo = show.echo && said ? this.#pose(said, GHOSTS.at(-1), show.up) : null;
-    this.echo.set(0, echo, ECHO);
-  }
-
-  #thin(limbs, pose) {
-    // Bones keep one thickness, whatever the size of the head.
-    limbs.set(0, pose, LIVE);
-    if (this.head < 0 || !Number.isFinite(pose[3 * this.head])) return;
-    const matrix = new THREE.Matrix4().makeScale(HEAD * 0.78, HEAD, HEAD * 0.86);
-    matrix.setPosition(pose[3 * this.head], pose[3 * this.head + 1], pose[3 * this.head + 2]);
-    limbs.spheres.setMatrixAt(this.head, matrix);
+    this.echo.set(0, echo, () => ECHO.joint);
   }
 
   #pose(forecast, ahead, up) {
@@ -107,7 +91,7 @@ export class Figure {
   #foresee(name, forecast, show) {
     GHOSTS.forEach((ahead, i) => {
       const pose = forecast ? this.#pose(forecast, ahead, show.up) : null;
-      this.ghosts[name].set(i, pose, GHOST, 0.16 + 0.84 * ((i + 1) / GHOSTS.length) ** 2);
+      this.ghosts[name].set(i, pose, () => GHOST.joint, 0.16 + 0.84 * ((i + 1) / GHOSTS.length) ** 2);
     });
     const last = GHOSTS.at(-1);
     const joints = this.width / 3;

@@ -1,104 +1,107 @@
 import * as THREE from 'three';
 
-/** Shapes by how closely they are looked at: much is thin, and a card in software counts triangles. */
-const SHAPES = {
-  fine: [new THREE.CylinderGeometry(1, 1, 1, 10, 1, true), new THREE.SphereGeometry(1, 14, 10)],
-  coarse: [new THREE.CylinderGeometry(1, 1, 1, 5, 1, true), new THREE.SphereGeometry(1, 6, 4)],
-  round: [new THREE.CylinderGeometry(1, 1, 1, 10, 1, true), new THREE.SphereGeometry(1, 10, 8)],
-};
-const UP = new THREE.Vector3(0, 1, 0);
-const matrix = new THREE.Matrix4();
-const middle = new THREE.Vector3();
-const way = new THREE.Vector3();
-const size = new THREE.Vector3();
-const turn = new THREE.Quaternion();
-const level = new THREE.Quaternion();
+/** Sides of a bone, and rings and sides of a joint, by how closely they are looked at. */
+const DETAIL = { fine: [10, 7, 12], coarse: [5, 3, 6], round: [12, 8, 12] };
 
-/** Poses of one skeleton as round bones and joints; several poses share two calls to the card. */
+/**
+ * Poses of one skeleton as round bones and joints, in one call to the card.
+ *
+ * Bones and joints are built once; the vertex shader puts them where the joints are. Bones taper from
+ * the radius of one joint to that of the other, unless they have a thickness of their own.
+ */
 export class Limbs {
   /**
-   * @param {{bones: number[][], joints: number, poses: number, material: THREE.Material,
-   *   order?: number, shape?: keyof typeof SHAPES}} options
+   * @param {{bones: number[][], joints: number, poses?: number, detail?: keyof typeof DETAIL,
+   *   material: (count: number, poses: number) => THREE.ShaderMaterial, order?: number}} options
    */
-  constructor({ bones, joints, poses, material, order = 0, shape = 'fine' }) {
-    this.bones = bones;
+  constructor({ bones, joints, poses = 1, detail = 'fine', material, order = 0 }) {
     this.joints = joints;
     this.poses = poses;
     this.group = new THREE.Group();
-    this.seen = new Array(poses).fill(true);
-    const [bone, joint] = SHAPES[shape];
-    this.cylinders = this.#make(bone, bones.length * poses, material, order);
-    this.spheres = this.#make(joint, joints * poses, material, order);
+    this.geometry = build(bones, joints, poses, DETAIL[detail]);
+    this.places = Array.from({ length: poses * joints }, () => new THREE.Vector4());
+    this.fades = new Array(poses).fill(0);
+    this.material = this.add(material, order);
   }
 
-  /** A second look at the same shapes, such as a pass that only fills the depth. */
-  repeat(material, order) {
-    for (const mesh of [this.cylinders, this.spheres]) {
-      const again = new THREE.InstancedMesh(mesh.geometry, material, mesh.count);
-      again.instanceMatrix = mesh.instanceMatrix;
-      again.frustumCulled = false;
-      again.renderOrder = order;
-      this.group.add(again);
-    }
-  }
-
-  #make(geometry, count, material, order) {
-    const own = geometry.clone();
-    const fade = new Float32Array(count).fill(1);
-    own.setAttribute('fade', new THREE.InstancedBufferAttribute(fade, 1));
-    const mesh = new THREE.InstancedMesh(own, material, count);
+  /** Look at the same shapes once more, with another material. */
+  add(material, order) {
+    const made = material(this.places.length, this.poses);
+    made.uniforms.places.value = this.places;
+    made.uniforms.fades.value = this.fades;
+    const mesh = new THREE.Mesh(this.geometry, made);
     mesh.frustumCulled = false;
     mesh.renderOrder = order;
-    mesh.instanceMatrix.setUsage(THREE.DynamicDrawUsage);
     this.group.add(mesh);
-    return mesh;
+    return made;
   }
 
   /**
    * @param {number} index which of the poses
-   * @param {Float32Array | null} pose y up; null hides it
-   * @param {{bone: number, joint: number} | ((joint: number) => number)} thick metres; a function
-   *   gives the radius about each joint
+   * @param {Float32Array | null} pose y up, metres; null hides it
+   * @param {(joint: number) => number} radius of the joints, metres
    * @param {number} [fade] 0 … 1
    */
-  set(index, pose, thick, fade = 1) {
-    this.seen[index] = Boolean(pose);
-    this.group.visible = this.seen.includes(true);
-    if (!this.group.visible) return;
-    const radius = typeof thick === 'function' ? thick : () => thick.joint;
+  set(index, pose, radius, fade = 1) {
+    this.fades[index] = pose ? fade : 0;
+    this.group.visible = this.fades.some((one) => one > 0);
     for (let j = 0; j < this.joints; j++) {
-      const seen = pose && Number.isFinite(pose[3 * j]);
-      const r = seen ? radius(j) : 0;
-      middle.set(seen ? pose[3 * j] : 0, seen ? pose[3 * j + 1] : -9, seen ? pose[3 * j + 2] : 0);
-      matrix.compose(middle, level, size.setScalar(r));
-      this.spheres.setMatrixAt(index * this.joints + j, matrix);
-      this.spheres.geometry.attributes.fade.array[index * this.joints + j] = fade;
+      const place = this.places[index * this.joints + j];
+      if (pose && Number.isFinite(pose[3 * j])) place.set(pose[3 * j], pose[3 * j + 1], pose[3 * j + 2], radius(j));
+      else place.set(0, 0, 0, 0); // no radius: not seen
     }
-    this.bones.forEach(([a, b], k) => this.#setBone(index * this.bones.length + k, pose, a, b, thick, fade));
-    for (const mesh of [this.cylinders, this.spheres]) {
-      mesh.instanceMatrix.needsUpdate = true;
-      mesh.geometry.attributes.fade.needsUpdate = true;
-    }
-  }
-
-  #setBone(at, pose, a, b, thick, fade) {
-    const seen = pose && Number.isFinite(pose[3 * a] + pose[3 * b]);
-    if (seen) {
-      way.set(pose[3 * b] - pose[3 * a], pose[3 * b + 1] - pose[3 * a + 1], pose[3 * b + 2] - pose[3 * a + 2]);
-      const long = way.length();
-      middle.set(pose[3 * a], pose[3 * a + 1], pose[3 * a + 2]).addScaledVector(way, 0.5);
-      turn.setFromUnitVectors(UP, way.divideScalar(Math.max(long, 1e-6)));
-      const r = typeof thick === 'function' ? (thick(a) + thick(b)) / 2 : thick.bone;
-      matrix.compose(middle, turn, size.set(r, long, r));
-    } else {
-      matrix.makeScale(0, 0, 0);
-    }
-    this.cylinders.setMatrixAt(at, matrix);
-    this.cylinders.geometry.attributes.fade.array[at] = fade;
   }
 
   dispose() {
     this.group.removeFromParent();
-    for (const mesh of this.group.children) mesh.geometry.dispose();
+    this.geometry.dispose();
+    for (const mesh of this.group.children) mesh.material.dispose();
   }
+}
+
+/** Every vertex says where on its bone or joint it lies, between which joints, in which pose. */
+function build(bones, joints, poses, [sides, rings, around]) {
+  const local = [];
+  const ends = [];
+  const index = [];
+  const add = (vertices, faces, a, b, pose) => {
+    const begin = local.length / 3;
+    for (const vertex of vertices) {
+      local.push(...vertex);
+      ends.push(a, b, pose);
+    }
+    for (const corner of faces) index.push(begin + corner);
+  };
+  const bone = makeBone(sides);
+  const ball = makeBall(rings, around);
+  for (let pose = 0; pose < poses; pose++) {
+    const first = pose * joints;
+    for (const [a, b] of bones) add(bone.vertices, bone.faces, first + a, first + b, pose);
+    for (let j = 0; j < joints; j++) add(ball.vertices, ball.faces, first + j, first + j, pose);
+  }
+  const geometry = new THREE.BufferGeometry();
+  geometry.setAttribute('position', new THREE.Float32BufferAttribute(local, 3));
+  geometry.setAttribute('ends', new THREE.Float32BufferAttribute(ends, 3));
+  geometry.setIndex(index);
+  return geometry;
+}
+
+/** An open cylinder: two numbers about it, and 0 … 1 along it. */
+function makeBone(sides) {
+  const vertices = [];
+  const faces = [];
+  for (let i = 0; i < sides; i++) {
+    const angle = (2 * Math.PI * i) / sides;
+    vertices.push([Math.cos(angle), Math.sin(angle), 0], [Math.cos(angle), Math.sin(angle), 1]);
+    const [a, b, c, d] = [2 * i, 2 * i + 1, (2 * i + 2) % (2 * sides), (2 * i + 3) % (2 * sides)];
+    faces.push(a, b, c, c, b, d);
+  }
+  return { vertices, faces };
+}
+
+function makeBall(rings, around) {
+  const ball = new THREE.SphereGeometry(1, around, rings);
+  const at = ball.attributes.position;
+  const vertices = Array.from({ length: at.count }, (_, i) => [at.getX(i), at.getY(i), at.getZ(i)]);
+  return { vertices, faces: [...ball.index.array] };
 }

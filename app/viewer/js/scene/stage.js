@@ -1,5 +1,6 @@
 import * as THREE from 'three';
 import { OrbitControls } from 'three/OrbitControls.js';
+import { Floor } from './floor.js';
 
 /** Where the camera may stand; the sensor is at -z, so that nobody is mirrored. */
 const VIEWS = {
@@ -9,15 +10,24 @@ const VIEWS = {
   top: [0.0, 1, -0.02],
 };
 const LOOK_AT = new THREE.Vector3(0, 0.88, 0);
-const SLOW_MS = 42;
+const SLOW_MS = 50;
 const STEP = 0.08;
 
-/** The room: camera, light, floor; draws when asked. */
+/** Whether pictures are made by the processor, for which smooth edges cost too much. */
+function isSoftware() {
+  const probe = document.createElement('canvas').getContext('webgl2');
+  const about = probe?.getExtension('WEBGL_debug_renderer_info');
+  const name = about ? probe.getParameter(about.UNMASKED_RENDERER_WEBGL) : '';
+  probe?.getExtension('WEBGL_lose_context')?.loseContext();
+  return /swiftshader|llvmpipe|software/i.test(name);
+}
+
+/** The room: camera and floor; draws when asked. */
 export class Stage {
   /** @param {HTMLCanvasElement} canvas */
   constructor(canvas) {
     this.canvas = canvas;
-    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, powerPreference: 'low-power' });
+    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !isSoftware(), powerPreference: 'low-power' });
     this.scene = new THREE.Scene();
     this.camera = new THREE.PerspectiveCamera(34, 1, 0.1, 60);
     this.controls = new OrbitControls(this.camera, canvas);
@@ -29,7 +39,8 @@ export class Stage {
     this.width = 1;
     this.ratio = Math.min(devicePixelRatio, 2);
     this.slow = 0;
-    this.#light();
+    this.floor = new Floor();
+    this.scene.add(this.floor.mesh);
     new ResizeObserver(() => this.resize()).observe(canvas.parentElement);
     canvas.addEventListener('keydown', (event) => this.#steer(event));
     this.resize();
@@ -49,9 +60,9 @@ export class Stage {
     if (view === 'sensor') way.y = 0.18;
     if (view === 'corner') way.y = 0.3;
     way.normalize();
-    const wide = 1.7 + 1.35 * Math.max(1, this.people ?? 1);
+    const wide = 1.4 + 1.35 * Math.max(1, this.people ?? 1);
     const half = Math.tan((this.camera.fov * Math.PI) / 360);
-    const far = Math.max(2.5 / (2 * half), wide / (2 * half * this.camera.aspect)) + 0.7;
+    const far = Math.max(2.5 / (2 * half), wide / (2 * half * this.camera.aspect)) + 0.5;
     this.controls.target.copy(LOOK_AT);
     this.camera.position.copy(LOOK_AT).addScaledVector(way, far);
     this.controls.update();
@@ -70,51 +81,34 @@ export class Stage {
 
   /** @param {Record<string, string>} palette */
   paint(palette) {
-    const far = new THREE.Color(palette['stage-far']);
-    this.scene.background = far;
-    this.scene.fog = new THREE.Fog(far, 7, 17);
-    this.floor.material.color.set(palette.stage);
-    for (const grid of this.grids) grid.material.color.set(palette.grid);
+    this.scene.background = new THREE.Color(palette['stage-far']);
+    this.floor.paint(palette);
+  }
+
+  /** Whether the camera or the canvas is another than in the last picture. */
+  hasMoved() {
+    this.controls.update();
+    this.camera.updateMatrixWorld();
+    const mark = `${this.camera.matrixWorld.elements.map((x) => x.toFixed(4))}|${this.renderer.domElement.width}`;
+    const moved = mark !== this.mark;
+    this.mark = mark;
+    return moved;
   }
 
   /** @param {number} spentMs between the last two frames */
   draw(spentMs) {
     this.#adapt(spentMs);
-    this.controls.update();
     this.renderer.render(this.scene, this.camera);
   }
 
   /** Draw fewer pixels where the machine cannot keep up, rather than fewer frames. */
   #adapt(spentMs) {
     this.slow = 0.95 * this.slow + 0.05 * Math.min(spentMs, 200);
-    if (this.slow > SLOW_MS && this.ratio > 0.67) {
-      this.ratio = Math.max(0.66, this.ratio * 0.82);
+    if (this.slow > SLOW_MS && this.ratio > 0.81) {
+      this.ratio = Math.max(0.8, this.ratio * 0.82);
       this.slow = 25;
       this.resize();
     }
-  }
-
-  #light() {
-    this.scene.add(new THREE.HemisphereLight(0xffffff, 0x8d99a8, 2.1));
-    const sun = new THREE.DirectionalLight(0xffffff, 1.5);
-    sun.position.set(2.5, 5, -3.5);
-    this.scene.add(sun);
-    this.floor = new THREE.Mesh(
-      new THREE.CircleGeometry(22, 48),
-      new THREE.MeshBasicMaterial({ color: 0xffffff }),
-    );
-    this.floor.rotation.x = -Math.PI / 2;
-    this.floor.position.y = -0.004;
-    this.floor.renderOrder = -3;
-    const grids = [[24, 24, 0.5], [24, 96, 0.18]];
-    this.grids = grids.map(([size, cells, opacity]) => {
-      const grid = new THREE.GridHelper(size, cells);
-      grid.material.dispose();
-      grid.material = new THREE.LineBasicMaterial({ transparent: true, opacity, depthWrite: false });
-      grid.renderOrder = -2;
-      return grid;
-    });
-    this.scene.add(this.floor, ...this.grids);
   }
 
   /** Arrow keys turn the camera about the people, + and - come nearer and go away. */

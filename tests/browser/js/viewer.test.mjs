@@ -1,0 +1,167 @@
+/** Parts of the viewer that need no browser. Run by tests/browser/test_modules.py, or by `node --test`. */
+import assert from 'node:assert/strict';
+import { readFileSync } from 'node:fs';
+import { test } from 'node:test';
+
+const js = new URL('../../../app/viewer/js/', import.meta.url);
+const load = (name) => import(new URL(name, js));
+const { Ring } = await load('ring.js');
+const { decode, encode, packFloats } = await load('msgpack.js');
+const { mean, meanErrorMm, quantile, scoreFrame, smooth } = await load('metrics.js');
+const { fromYUp, toYUp } = await load('space.js');
+const { readMat } = await load('files/mat.js');
+const { readNpz } = await load('files/npz.js');
+const { readCsv } = await load('files/csv.js');
+const { Player, readRecording } = await load('files/recording.js');
+const { SyntheticPerson } = await load('demo/person.js');
+
+const SKELETON = { name: 'two', joints: [{ name: 'head' }, { name: 'hip' }] };
+const fixture = (name) => new Uint8Array(readFileSync(new URL(name, `file://${process.env.VIEWER_FIXTURES}/`)));
+const expected = () => JSON.parse(new TextDecoder().decode(fixture('expected.json')));
+
+test('a ring keeps the newest under their numbers', () => {
+  const ring = new Ring(3);
+  assert.equal(ring.last, undefined);
+  for (const item of 'abcde') ring.push(item);
+  assert.deepEqual(ring.toArray(), ['c', 'd', 'e']);
+  assert.deepEqual([ring.get(1), ring.get(2), ring.get(4), ring.get(5)], [undefined, 'c', 'e', undefined]);
+  assert.equal(ring.length, 3);
+  ring.clear();
+  assert.deepEqual(ring.toArray(), []);
+  assert.throws(() => new Ring(0), RangeError);
+});
+
+test('messages come back as they went', () => {
+  const long = 'ö'.repeat(300);
+  const value = {
+    type: 'frame', seq: 2 ** 40, t: 12.5, none: null, yes: true, no: false, text: long, small: -3,
+    list: Array.from({ length: 20 }, (_, i) => i * 300), big: 70_000, nested: { a: { b: [] } },
+  };
+  assert.deepEqual(decode(encode(value)), value);
+  assert.deepEqual(decode(encode(new Uint8Array(70_000).fill(7))), new Uint8Array(70_000).fill(7));
+  assert.deepEqual(decode(encode({ gone: undefined })), {});
+});
+
+test('a frame has the bytes of the protocol', () => {
+  const joints = packFloats(new Float32Array([0.1959, 0.5607, 2.5394]));
+  const bytes = Buffer.from(encode({ type: 'frame', seq: 0, t: 12.5, joints })).toString('hex');
+  assert.equal(bytes, '84a474797065a56672616d65a373657100a174cb4029000000000000a66a6f696e7473c40c029a483e098a0f3f88852240');
+});
+
+test('what no encoder of ours writes is read as well, and damage is refused', () => {
+  assert.equal(decode(new Uint8Array([0xd1, 0xff, 0x00])), -256);
+  assert.equal(decode(new Uint8Array([0xca, 0x3f, 0x80, 0, 0])), 1);
+  assert.equal(decode(new Uint8Array([0xd0, 0x80])), -128);
+  assert.deepEqual(decode(new Uint8Array([0xdc, 0, 2, 1, 2])), [1, 2]);
+  assert.deepEqual(Object.keys(decode(encode({ ['__proto__x']: 1 }))), ['__proto__x']);
+  assert.throws(() => decode(new Uint8Array([0xc4, 9, 1])), RangeError);
+  assert.throws(() => decode(new Uint8Array([0xc1])), RangeError);
+  assert.throws(() => decode(new Uint8Array([0xcd, 1])), RangeError);
+});
+
+test('errors are mean distances per joint in millimetres, of joints that both have', () => {
+  const a = new Float32Array([0, 0, 0, 1, 1, 1]);
+  assert.ok(Math.abs(meanErrorMm(a, new Float32Array([0.003, 0.004, 0, 1, 1, 1])) - 2.5) < 1e-3);
+  assert.ok(Math.abs(meanErrorMm(a, new Float32Array([NaN, 0, 0, 1, 1, 1.01])) - 10) < 1e-3);
+  assert.ok(Number.isNaN(meanErrorMm(a, new Float32Array(6).fill(NaN))));
+});
+
+test('a forecast is scored at the frame that it was for', () => {
+  const pose = (x) => new Float32Array([x, 0, 0]);
+  const forecast = (x) => ({ frames: Float32Array.from({ length: 45 }, (_, i) => (i < 42 ? 9 : i === 42 ? x : 0)) });
+  const past = { joints: pose(0), base: forecast(0.09), personal: forecast(0.1) };
+  const score = scoreFrame(pose(0.1), past, 15);
+  assert.deepEqual(Object.values(score).map(Math.round), [100, 10, 0]);
+  assert.ok(Object.values(scoreFrame(pose(1), undefined, 15)).every(Number.isNaN));
+  assert.ok(Number.isNaN(scoreFrame(pose(1), { joints: pose(0), base: null, personal: null }, 15).base));
+});
+
+test('means and quantiles leave out what is not known', () => {
+  assert.equal(mean([1, NaN, 3]), 2);
+  assert.ok(Number.isNaN(mean([])));
+  assert.equal(quantile([5, 1, NaN, 3, 4, 2], 0.5), 3);
+  assert.equal(quantile([5, 1, 3, 4, 2], 0.99), 5);
+  assert.deepEqual(smooth([1, 3, NaN, 5], 2), [1, 2, NaN, 5]);
+});
+
+test('frames of reference are turned, never mirrored', () => {
+  const basis = new Float32Array([1, 0, 0, 0, 1, 0, 0, 0, 1]);
+  for (const [up, axis] of [['y', [0, 1, 0]], ['-y', [0, -1, 0]], ['z', [0, 0, 1]]]) {
+    assert.deepEqual([...toYUp(new Float32Array(axis), up)].map((x) => x + 0), [0, 1, 0]);
+    const [a, b, c, d, e, f, g, h, i] = toYUp(basis, up);
+    assert.equal(a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g), 1);
+    assert.deepEqual(fromYUp(toYUp(basis, up), up), basis);
+  }
+});
+
+test('recordings of every kind are read', { skip: !process.env.VIEWER_FIXTURES && 'no VIEWER_FIXTURES' }, async () => {
+  const poses = expected();
+  const check = (clips, actions) => {
+    assert.deepEqual(clips.map((clip) => clip.action), actions);
+    clips.flatMap((clip) => clip.frames).forEach((frame, t) => {
+      frame.forEach((value, i) => assert.ok(Math.abs(value - poses[t][i]) < 1e-6));
+    });
+    assert.equal(clips.reduce((sum, clip) => sum + clip.frames.length, 0), poses.length);
+  };
+  check(await readMat(fixture('packed.mat'), 'a8_s1_t2_skeleton.mat'), ['8']);
+  check(await readMat(fixture('plain.mat'), 'other.mat'), ['other']);
+  check(await readNpz(fixture('packed.npz'), 'packed.npz'), ['wave', 'walk']);
+  check(await readNpz(fixture('plain.npz'), 'plain.npz'), ['wave', 'walk']);
+});
+
+test('damaged recordings are refused with their name', { skip: !process.env.VIEWER_FIXTURES && 'no VIEWER_FIXTURES' }, async () => {
+  const mat = fixture('packed.mat');
+  const npz = fixture('packed.npz');
+  for (const damage of [new Uint8Array(4), mat.slice(0, 300), mat.slice(0, mat.length - 40)]) {
+    await assert.rejects(readMat(damage, 'bad.mat'), /bad\.mat/);
+  }
+  for (const damage of [new Uint8Array(4), npz.slice(0, npz.length - 30), npz.slice(30)]) {
+    await assert.rejects(readNpz(damage, 'bad.npz'), /bad\.npz/);
+  }
+  await assert.rejects(readMat(fixture('foreign.mat'), 'foreign.mat'), /d_skel/);
+  await assert.rejects(readRecording(new File(['x'], 'a.txt'), SKELETON), /expected \.mat/);
+});
+
+test('a table is cut into clips, and an empty cell is a missing joint', () => {
+  const header = 't,action,head.x,head.y,head.z,hip.x,hip.y,hip.z\r\n';
+  const rows = '0,"wave, left",1,2,3,4,5,6\r\n0.05,"wave, left",1,2,3,,,\r\n0.1,walk,1,2,3,4,5,6\r\n';
+  const clips = readCsv(`\ufeff${header}${rows}`, 'a.csv', SKELETON);
+  assert.deepEqual(clips.map((clip) => [clip.action, clip.frames.length]), [['wave, left', 2], ['walk', 1]]);
+  assert.ok(Math.abs(clips[0].rateHz - 20) < 1e-9);
+  assert.ok(Number.isNaN(clips[0].frames[1][3]));
+  assert.throws(() => readCsv('head.x\n1\n', 'a.csv', SKELETON), /head\.y/);
+  assert.throws(() => readCsv(header, 'a.csv', SKELETON), /no frames/);
+  assert.throws(() => readCsv(`${header}0,a,x,2,3,4,5,6\n`, 'a.csv', SKELETON), /"x" is no number/);
+});
+
+test('recordings of any rate are played at 30 Hz, with nobody between clips', () => {
+  const frames = [0, 1, 2, 3].map((x) => new Float32Array([x, 0, 0]));
+  const player = new Player('a', [{ joints: 1, action: 'x', rateHz: 15, frames }], 'one');
+  const played = Array.from({ length: player.total + 2 }, (_, n) => player.frame(n).joints?.[0] ?? null);
+  assert.deepEqual(played.slice(0, 8), [0, 0.5, 1, 1.5, 2, 2.5, 3, null]);
+  assert.deepEqual(played.slice(-3), [null, 0, 0.5]);
+});
+
+test('synthetic people are believable, and the same for the same seed', () => {
+  const [one, again, other] = [new SyntheticPerson(1), new SyntheticPerson(1), new SyntheticPerson(2)];
+  const length = (pose, a, b) => Math.hypot(...[0, 1, 2].map((i) => pose[3 * a + i] - pose[3 * b + i]));
+  const actions = new Set();
+  let before = null;
+  for (let n = 0; n < 1200; n++) {
+    const { joints, action } = one.frame(n);
+    actions.add(action);
+    assert.deepEqual(again.frame(n).joints, joints);
+    assert.ok(joints.every(Number.isFinite));
+    for (const [a, b, least, most] of [[4, 5, 0.2, 0.33], [12, 13, 0.35, 0.52], [1, 3, 0.33, 0.5]]) {
+      assert.ok(length(joints, a, b) > least && length(joints, a, b) < most, `${action} bone ${a}-${b}`);
+    }
+    const lowest = Math.min(...[14, 15, 18, 19].map((j) => joints[3 * j + 1]));
+    assert.ok(Math.abs(lowest - one.floor) < 0.12, `${action}: feet at ${lowest}`);
+    if (before) joints.forEach((x, i) => assert.ok(Math.abs(x - before[i]) < 0.2, `${action} jumps`));
+    before = joints;
+  }
+  assert.ok(actions.size >= 6);
+  assert.notDeepEqual(other.frame(0).joints, one.frame(0).joints);
+  const start = new SyntheticPerson(1).frame(0).joints;
+  assert.ok(start[8 * 3] > start[4 * 3]); // facing the sensor, the right side is at larger x
+});
