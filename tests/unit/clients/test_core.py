@@ -343,6 +343,35 @@ def test_pings_of_the_service_are_answered_with_the_clock_of_the_frames(rig):
     assert rig.drain() == [{"type": "pong", "id": 4, "server_t": 9.0, "t": rig.now + 77.0}]
 
 
+def test_a_ping_that_took_long_is_not_answered(rig):
+    """Its pong would mislead the service by half of that."""
+    rig.wait(0.05)
+    (ping,) = rig.drain()
+    rig.hear("pong", id=ping["id"], t=ping["t"], server_t=rig.now + 500.0, engine_ms=1.0)
+    rig.hear("ping", id=1, server_t=rig.now + 500.0 - 0.2)
+    assert rig.drain() == []
+    rig.hear("ping", id=2, server_t=rig.now + 500.0 - 0.02)
+    assert [message["type"] for message in rig.drain()] == ["pong"]
+
+
+def test_a_clock_that_was_restarted_is_compared_anew(rig):
+    rig.wait(0.05)
+    (ping,) = rig.drain()
+    rig.hear("pong", id=ping["id"], t=ping["t"], server_t=rig.now + 500.0, engine_ms=1.0)
+    rig.stream()
+    assert rig.core.clock.offset_s == pytest.approx(500.0, abs=0.1)
+    rig.hear("waiting", seq=0, t=rig.now, reason="warm_up", have_s=0.0, need_s=0.45)
+    rig.now += 6.0
+    rig.core.tick(rig.moment())
+    (ping,) = [message for message in rig.drain() if message["type"] == "ping"]
+    rig.skew = -100.0
+    rig.stream()
+    rig.hear("pong", id=ping["id"], t=ping["t"], server_t=rig.now + 500.0, engine_ms=1.0)
+    assert rig.core.clock.offset_s is None  # the ping was of the clock before
+    rig.hear("ping", id=1, server_t=rig.now + 500.0)
+    assert [message["type"] for message in rig.drain()] == ["pong"]
+
+
 def test_the_offset_of_the_clocks_is_that_of_the_quickest_pong(rig):
     for delay, error in ((0.2, 0.05), (0.002, 0.0), (0.3, 0.1)):
         while not (sent := rig.drain()):
@@ -410,6 +439,7 @@ def test_a_service_without_a_hello_is_given_up(rig):
         {"epoch": 0},
         {"joints": [], "epoch": 2},
         {"horizon": 0},
+        {"horizon": 2**40},
         {"rate_hz": 0.0},
     ],
 )

@@ -132,7 +132,11 @@ class Core:
         if self.is_over:
             self.outgoing.refuse("stopped")
             return None
-        return self.outgoing.offer(joints, t, confidence, now)
+        floor = self.outgoing.floor
+        seq = self.outgoing.offer(joints, t, confidence, now)
+        if self.outgoing.floor != floor:
+            self.clock.restart()
+        return seq
 
     def latest(self, now: Moment) -> Forecast | None:
         """Give the newest forecast that may be used now, None where there is none."""
@@ -278,7 +282,7 @@ class Core:
             case WireForecast():
                 self._take_forecast(message, now)
             case Ping():
-                self.outgoing.say("pong", id=message.id, server_t=message.server_t, t=now.frame)
+                self._answer(message, now)
             case Pong():
                 self._learn(message, now)
             case Bye():
@@ -328,6 +332,10 @@ class Core:
         if ping is not None:
             self.outgoing.say("ping", id=ping, t=now.frame)
         self.outgoing.tick(now)
+
+    def _answer(self, ping: Ping, now: Moment) -> None:
+        if not self.clock.is_late(ping.server_t, now):
+            self.outgoing.say("pong", id=ping.id, server_t=ping.server_t, t=now.frame)
 
     def _learn(self, pong: Pong, now: Moment) -> None:
         rtt_s = self._pulse.learn(pong, now)

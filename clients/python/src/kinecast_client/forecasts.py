@@ -41,7 +41,7 @@ class Timing(Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Forecast:
-    """Where a person will be in the next half second.
+    """Where a person will be in the next half second. Copy its arrays before you change them.
 
     Attributes:
         frames: [15, J, 3] float32, metres, in the joints and the frame of reference of the

@@ -5,6 +5,8 @@ import math
 from kinecast_client.errors import StoppedError, find_stop
 from kinecast_client.messages import PROTOCOL, Hello
 
+HORIZON_MOST = 10_000
+
 
 def find_refusal(hello: Hello, joints: tuple[str, ...] | None) -> StoppedError | None:
     """Tell why no hello of this kind will ever do, None where it may."""
@@ -26,6 +28,7 @@ def find_flaw(hello: Hello, *, user: str, session: str, last: Hello | None) -> s
         return "the hello is for another stream"
     if last is not None and hello.epoch <= last.epoch:
         return "the hello is of an old epoch"
-    if not hello.joints or hello.horizon < 1 or not 0 < hello.rate_hz < math.inf:
+    is_size = 1 <= hello.horizon <= HORIZON_MOST and hello.joints
+    if not is_size or not 0 < hello.rate_hz < math.inf:
         return "the hello makes no sense"
     return None
