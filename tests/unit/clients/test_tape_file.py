@@ -1,5 +1,6 @@
 """Recordings of streams: what is read is what was written, bit by bit, and Foxglove can draw it."""
 
+import copy
 import json
 import struct
 import time
@@ -11,7 +12,15 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from kinecast_client.interop import foxglove
 from kinecast_client.interop.body import KINECT_V1, find_body, to_ros
-from kinecast_client.interop.tape_file import About, Frame, TapeError, TapeReader, TapeWriter
+from kinecast_client.interop.tape_file import (
+    CHANNELS,
+    FORECASTS,
+    About,
+    Frame,
+    TapeError,
+    TapeReader,
+    TapeWriter,
+)
 from kinecast_client.samples import waving_person
 from mcap.reader import make_reader
 
@@ -127,6 +136,40 @@ def conforms(value, schema):
         return isinstance(value, list) and all(conforms(one, schema["items"]) for one in value)
     expected = {"number": float, "integer": int, "string": str, "boolean": bool}[kind]
     return type(value) is expected
+
+
+def can_be_read(schema):
+    """Tell whether Foxglove's reader of JSON Schema takes this object, by its rules."""
+    for part in schema["properties"].values():
+        inner = part["items"] if part["type"] == "array" else part
+        if inner["type"] == "array" or (inner["type"] == "object" and not can_be_read(inner)):
+            return False
+    return schema["type"] == "object"
+
+
+@pytest.mark.parametrize("topic", sorted(CHANNELS))
+def test_schemas_keep_to_what_foxglove_can_read(topic):
+    assert can_be_read(CHANNELS[topic])
+
+
+def test_schemas_that_foxglove_cannot_read_are_noticed():
+    numbers = {"type": "array", "items": {"type": "number"}}
+    assert not can_be_read({"type": "object", "properties": {"a": numbers | {"items": numbers}}})
+    with pytest.raises(KeyError):
+        can_be_read({"type": "object", "properties": {"a": {"type": "object"}}})
+
+
+def test_messages_have_every_field_of_their_schemas_and_no_other(tmp_path):
+    write(tmp_path / "a.mcap", Frame(NOW, POSE, np.ones(20), 1), make_forecast(server_age_ms=2.0))
+    for topic, [(_, _, message)] in read_topics(tmp_path / "a.mcap").items():
+        schema = CHANNELS[topic]
+        if topic == FORECASTS:  # no fallback is null
+            assert message["version"].pop("fallback") is None
+            version = schema["properties"]["version"]["properties"]
+            schema = copy.deepcopy(schema)
+            del schema["properties"]["version"]["properties"]["fallback"]
+            assert "fallback" in version
+        assert conforms(message, schema), topic
 
 
 def test_pictures_have_every_field_of_their_schemas_and_no_other():

@@ -1,7 +1,9 @@
 """A person and their forecast in Foxglove's schemas, as JSON: `SceneUpdate` and `FrameTransforms`.
 
 Positions are in ROS's axes (z up), which is what Foxglove's 3D panel expects. Foxglove finds a
-schema by its name; the ones here describe every field that is written.
+schema by its name; the ones here describe every field that is written. Its reader takes less than
+JSON Schema allows: every property has one type, an object has properties, and no array lies in an
+array.
 """
 
 from collections.abc import Sequence
@@ -176,56 +178,60 @@ def _xyz(place: Array) -> Message:
     return {"x": x, "y": y, "z": z}
 
 
-def _object(title: str, **properties: Message) -> Message:
+def describe_object(title: str, **properties: Message) -> Message:
+    """Give the schema of an object."""
     return {"title": title, "type": "object", "properties": properties}
 
 
-def _list(items: Message) -> Message:
+def describe_list(items: Message) -> Message:
+    """Give the schema of a list; `items` must not be a list again."""
     return {"type": "array", "items": items}
 
 
-_NUMBER, _TEXT, _SWITCH, _WHOLE = ({"type": t} for t in ("number", "string", "boolean", "integer"))
-_TIME = _object("time", sec=_WHOLE, nsec=_WHOLE)
-_DURATION = _object("duration", sec=_WHOLE, nsec=_WHOLE)
-_VECTOR = _object("foxglove.Vector3", **dict.fromkeys("xyz", _NUMBER))
-_POINT = _object("foxglove.Point3", **dict.fromkeys("xyz", _NUMBER))
-_QUATERNION = _object("foxglove.Quaternion", **dict.fromkeys("xyzw", _NUMBER))
-_POSE = _object("foxglove.Pose", position=_VECTOR, orientation=_QUATERNION)
-_COLOUR = _object("foxglove.Color", **dict.fromkeys("rgba", _NUMBER))
-_SPHERE = _object("foxglove.SpherePrimitive", pose=_POSE, size=_VECTOR, color=_COLOUR)
-_LINE = _object(
+NUMBER, TEXT, SWITCH, WHOLE = ({"type": t} for t in ("number", "string", "boolean", "integer"))
+_TIME = describe_object("time", sec=WHOLE, nsec=WHOLE)
+_DURATION = describe_object("duration", sec=WHOLE, nsec=WHOLE)
+_VECTOR = describe_object("foxglove.Vector3", **dict.fromkeys("xyz", NUMBER))
+POINT = describe_object("foxglove.Point3", **dict.fromkeys("xyz", NUMBER))
+_QUATERNION = describe_object("foxglove.Quaternion", **dict.fromkeys("xyzw", NUMBER))
+_POSE = describe_object("foxglove.Pose", position=_VECTOR, orientation=_QUATERNION)
+_COLOUR = describe_object("foxglove.Color", **dict.fromkeys("rgba", NUMBER))
+_SPHERE = describe_object("foxglove.SpherePrimitive", pose=_POSE, size=_VECTOR, color=_COLOUR)
+_LINE = describe_object(
     "foxglove.LinePrimitive",
-    type=_WHOLE,
+    type=WHOLE,
     pose=_POSE,
-    thickness=_NUMBER,
-    scale_invariant=_SWITCH,
-    points=_list(_POINT),
+    thickness=NUMBER,
+    scale_invariant=SWITCH,
+    points=describe_list(POINT),
     color=_COLOUR,
-    colors=_list(_COLOUR),
-    indices=_list(_WHOLE),
+    colors=describe_list(_COLOUR),
+    indices=describe_list(WHOLE),
 )
-_ENTITY = _object(
+_ENTITY = describe_object(
     "foxglove.SceneEntity",
     timestamp=_TIME,
-    frame_id=_TEXT,
-    id=_TEXT,
+    frame_id=TEXT,
+    id=TEXT,
     lifetime=_DURATION,
-    frame_locked=_SWITCH,
-    metadata=_list(_object("foxglove.KeyValuePair", key=_TEXT, value=_TEXT)),
-    **{kind: _list({"type": "object"}) for kind in _PRIMITIVES}
-    | {"spheres": _list(_SPHERE), "lines": _list(_LINE)},
+    frame_locked=SWITCH,
+    metadata=describe_list(describe_object("foxglove.KeyValuePair", key=TEXT, value=TEXT)),
+    **{kind: describe_list(describe_object(kind)) for kind in _PRIMITIVES}
+    | {"spheres": describe_list(_SPHERE), "lines": describe_list(_LINE)},
 )
-_DELETION = _object("foxglove.SceneEntityDeletion", timestamp=_TIME, type=_WHOLE, id=_TEXT)
-SCENE_UPDATE = _object("foxglove.SceneUpdate", deletions=_list(_DELETION), entities=_list(_ENTITY))
+_DELETION = describe_object("foxglove.SceneEntityDeletion", timestamp=_TIME, type=WHOLE, id=TEXT)
+SCENE_UPDATE = describe_object(
+    "foxglove.SceneUpdate", deletions=describe_list(_DELETION), entities=describe_list(_ENTITY)
+)
 """JSON Schema of what is written as `foxglove.SceneUpdate`."""
-FRAME_TRANSFORMS = _object(
+FRAME_TRANSFORMS = describe_object(
     "foxglove.FrameTransforms",
-    transforms=_list(
-        _object(
+    transforms=describe_list(
+        describe_object(
             "foxglove.FrameTransform",
             timestamp=_TIME,
-            parent_frame_id=_TEXT,
-            child_frame_id=_TEXT,
+            parent_frame_id=TEXT,
+            child_frame_id=TEXT,
             translation=_VECTOR,
             rotation=_QUATERNION,
         )

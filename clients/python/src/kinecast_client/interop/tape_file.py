@@ -9,14 +9,15 @@ Needs the package `mcap` (`pip install 'kinecast-client[mcap]'`). Channels:
 | `/observed`, `/forecast` | `foxglove.SceneUpdate` | for the 3D panel |
 | `/tf` | `foxglove.FrameTransforms` | `world`, the sensor, the body |
 
-All messages are JSON, which Foxglove reads by itself. Every number is written so that it is read
-as the same float64; coordinates that are missing (NaN) are null. The metadata `kinecast` says who
-and what was recorded.
+All messages are JSON, which Foxglove reads by itself: a plot of a hand half a second ahead is
+`/kinecast/forecasts.frames[14].joints[11].x`. Every number is written so that it is read as the
+same float64; coordinates that are missing (NaN) are null. The metadata `kinecast` says whose stream
+was recorded.
 """
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -34,10 +35,60 @@ from kinecast_client.interop.ros import name_body
 
 FRAMES, FORECASTS = "/kinecast/frames", "/kinecast/forecasts"
 _METADATA = "kinecast"
-_ANYTHING: dict[str, Any] = {}
-_SCHEMAS = {
-    FRAMES: ("kinecast.Frame", ("seq", "t", "joints", "confidence")),
-    FORECASTS: ("kinecast.Forecast", tuple(f.name for f in fields(Forecast) if f.name != "_age")),
+_POINTS = foxglove.describe_list(foxglove.POINT)
+_NUMBERS = foxglove.describe_list(foxglove.NUMBER)
+_NAMES = foxglove.describe_list(foxglove.TEXT)
+FRAME_SCHEMA = foxglove.describe_object(
+    "kinecast.Frame",
+    seq=foxglove.WHOLE,
+    t=foxglove.NUMBER,
+    person=foxglove.SWITCH,
+    joints=_POINTS,
+    confidence=_NUMBERS,
+)
+"""JSON Schema of a frame; `person` is false, and `joints` empty, where nobody was seen."""
+FORECAST_SCHEMA = foxglove.describe_object(
+    "kinecast.Forecast",
+    seq=foxglove.WHOLE,
+    t_observed=foxglove.NUMBER,
+    frames=foxglove.describe_list(
+        foxglove.describe_object("frame", t=foxglove.NUMBER, joints=_POINTS, radius=_NUMBERS)
+    ),
+    coverage=foxglove.NUMBER,
+    version=foxglove.describe_object(
+        "version",
+        number=foxglove.WHOLE,
+        kind=foxglove.TEXT,
+        sha256=foxglove.TEXT,
+        requested=foxglove.TEXT,
+        share=foxglove.NUMBER,
+        fallback=foxglove.TEXT,
+    ),
+    quality=_NAMES,
+    severity=foxglove.TEXT,
+    filled=_NAMES,
+    timing=foxglove.describe_object(
+        "timing", **dict.fromkeys(("queue_ms", "compute_ms", "total_ms"), foxglove.NUMBER)
+    ),
+    joints=_NAMES,
+    skipped=foxglove.WHOLE,
+    not_due=foxglove.WHOLE,
+    server_age_ms=foxglove.NUMBER,
+)
+"""JSON Schema of a forecast; `radius` is empty where there is none. What is unknown is null."""
+_SAME = (
+    *("seq", "t_observed", "coverage", "version", "quality", "severity", "filled", "timing"),
+    *("joints", "skipped", "not_due", "server_age_ms"),
+)
+"""Fields of a forecast that are written as they are."""
+
+
+CHANNELS = {
+    FRAMES: FRAME_SCHEMA,
+    FORECASTS: FORECAST_SCHEMA,
+    "/observed": foxglove.SCENE_UPDATE,
+    "/forecast": foxglove.SCENE_UPDATE,
+    "/tf": foxglove.FRAME_TRANSFORMS,
 }
 
 
@@ -101,11 +152,8 @@ class TapeWriter:
         self._writer = Writer(self._file)
         self._writer.start(profile="", library="kinecast-client")
         self._writer.add_metadata(_METADATA, _describe(self.about))
-        for topic, (name, parts) in _SCHEMAS.items():
-            self._add_channel(topic, name, _open_schema(name, parts))
-        self._add_channel("/observed", "foxglove.SceneUpdate", foxglove.SCENE_UPDATE)
-        self._add_channel("/forecast", "foxglove.SceneUpdate", foxglove.SCENE_UPDATE)
-        self._add_channel("/tf", "foxglove.FrameTransforms", foxglove.FRAME_TRANSFORMS)
+        for topic, schema in CHANNELS.items():
+            self._add_channel(topic, schema)
 
     def __enter__(self) -> "TapeWriter":
         """Begin to write."""
@@ -132,8 +180,9 @@ class TapeWriter:
         message = {
             "seq": frame.seq,
             "t": frame.t,
-            "joints": _to_lists(frame.joints),
-            "confidence": _to_lists(frame.confidence),
+            "person": frame.joints is not None,
+            "joints": [] if frame.joints is None else _to_points(frame.joints),
+            "confidence": _to_numbers(frame.confidence),
         }
         self._add(FRAMES, at, message)
         if frame.joints is None:
@@ -156,8 +205,9 @@ class TapeWriter:
         about = self.about
         return {"skeleton": about.skeleton, "up": about.up, "frame_id": about.frame_id}
 
-    def _add_channel(self, topic: str, name: str, schema: dict[str, Any]) -> None:
-        number = self._writer.register_schema(name, "jsonschema", msgspec.json.encode(schema))
+    def _add_channel(self, topic: str, schema: dict[str, Any]) -> None:
+        data = msgspec.json.encode(schema)
+        number = self._writer.register_schema(schema["title"], "jsonschema", data)
         self._channels[topic] = self._writer.register_channel(topic, "json", number)
 
     def _add(self, topic: str, at_ns: int, message: dict[str, Any]) -> None:
@@ -196,8 +246,8 @@ class TapeReader:
         """Give the frames in the order of their times."""
         for data in self._read(FRAMES):
             found = msgspec.json.decode(data)
-            joints, confidence = (_to_array(found[name]) for name in ("joints", "confidence"))
-            yield Frame(found["t"], joints, confidence, found["seq"])
+            joints = _from_points(found["joints"]) if found["person"] else None
+            yield Frame(found["t"], joints, _from_numbers(found["confidence"]), found["seq"])
 
     def forecasts(self) -> Iterator[Forecast]:
         """Give the forecasts in the order of their times; their `age_s` is 0."""
@@ -227,41 +277,44 @@ def _restore(found: dict[str, str]) -> About:
 
 
 def _to_message(forecast: Forecast) -> dict[str, Any]:
-    given = {name: getattr(forecast, name) for name in _SCHEMAS[FORECASTS][1]}
-    arrays = {name: _to_lists(given[name]) for name in ("frames", "t", "radius")}
-    return given | arrays
+    radii = [None] * len(forecast.t) if forecast.radius is None else list(forecast.radius)
+    steps = zip(forecast.t.tolist(), forecast.frames, radii, strict=True)
+    frames = [
+        {"t": t, "joints": _to_points(pose), "radius": _to_numbers(radius)}
+        for t, pose, radius in steps
+    ]
+    return {name: getattr(forecast, name) for name in _SAME} | {"frames": frames}
 
 
 def _to_forecast(found: dict[str, Any]) -> Forecast:
-    frames, radius = _to_array(found["frames"]), _to_array(found["radius"])
-    known = {name: found[name] for name in _SCHEMAS[FORECASTS][1] if name in found}
-    lists = {name: tuple(found[name]) for name in ("quality", "filled", "joints")}
+    frames = found["frames"]
+    radii = [_from_numbers(frame["radius"]) for frame in frames]
     return Forecast(
-        **known
-        | lists
+        **{name: found[name] for name in _SAME}
+        | {name: tuple(found[name]) for name in ("quality", "filled", "joints")}
         | {
-            "frames": np.zeros((0, 0, 3), np.float32) if frames is None else _narrow(frames),
-            "t": np.array(found["t"], dtype=np.float64),
-            "radius": None if radius is None else _narrow(radius),
+            "frames": np.array([_from_points(frame["joints"]) for frame in frames], np.float32),
+            "t": np.array([frame["t"] for frame in frames], dtype=np.float64),
+            "radius": None if radii[0] is None else np.array(radii, dtype=np.float32),
             "version": msgspec.convert(found["version"], Version),
             "timing": msgspec.convert(found["timing"], Timing),
         }
     )
 
 
-def _narrow(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
-    """Give float32 back that was written as float64: exact."""
-    return values.astype(np.float32)
+def _to_points(pose: npt.NDArray[np.floating[Any]]) -> list[dict[str, float]]:
+    """Give a pose as JSON; a float32 becomes the float64 of the same value, which is exact."""
+    return [{"x": x, "y": y, "z": z} for x, y, z in pose.astype(np.float64).tolist()]
 
 
-def _to_lists(values: npt.NDArray[np.floating[Any]] | None) -> list[Any] | None:
-    """Give numbers as lists; float32 as the float64 of the same value, which is exact."""
-    return None if values is None else values.astype(np.float64).tolist()
+def _from_points(points: list[dict[str, float | None]]) -> npt.NDArray[np.float64]:
+    return np.array([(point["x"], point["y"], point["z"]) for point in points], dtype=np.float64)
 
 
-def _to_array(values: list[Any] | None) -> npt.NDArray[np.float64] | None:
-    return None if values is None else np.array(values, dtype=np.float64)
+def _to_numbers(values: npt.NDArray[np.floating[Any]] | None) -> list[float]:
+    numbers: list[float] = [] if values is None else values.astype(np.float64).tolist()
+    return numbers
 
 
-def _open_schema(name: str, parts: tuple[str, ...]) -> dict[str, Any]:
-    return {"title": name, "type": "object", "properties": dict.fromkeys(parts, _ANYTHING)}
+def _from_numbers(values: list[float]) -> npt.NDArray[np.float64] | None:
+    return np.array(values, dtype=np.float64) if values else None
