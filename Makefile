@@ -31,7 +31,7 @@ $(VENV)/.serve: pyproject.toml .constraints.txt $(KERNEL) $(VENV)/.torch
 	@touch $@
 
 $(VENV)/.test: pyproject.toml .constraints.txt $(KERNEL) $(VENV)/.torch
-	$(BIN)/pip install -q -c .constraints.txt -e '.[dev]'
+	$(BIN)/pip install -q -c .constraints.txt -e '.[dev,docs]'
 	@touch $@ $(VENV)/.serve
 
 $(VENV)/.peers: $(VENV)/.test

@@ -30,7 +30,10 @@ def record(page: Page, seconds: float) -> None:
     page.wait_for_selector(".chip:has-text('recording')")
     page.wait_for_timeout(1000 * seconds)
     page.click("#record")
+    page.wait_for_selector(".job")
+    page.click("#stop")  # drawing in software leaves little for the fit
     page.wait_for_selector("[data-version='1']", timeout=PATIENCE_MS)
+    page.click("#play")
     if page.locator("[data-version='1'] button").count():  # it did not win: shown all the same
         page.click("[data-version='1'] button")
     page.wait_for_selector("[data-version='1']:has-text('active')")
@@ -82,7 +85,9 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=45.0, help="length of the recording")
     parser.add_argument("--steps", type=int, help="optimisation steps of a fit")
     options = parser.parse_args()
-    own = {} if options.steps is None else {"finetune_steps": options.steps}
+    own = {"finetune_nice": 0}
+    if options.steps is not None:
+        own["finetune_steps"] = options.steps
     FIGURES.mkdir(parents=True, exist_ok=True)
     with (
         tempfile.TemporaryDirectory() as folder,

@@ -272,7 +272,8 @@ export class App extends Emitter {
       this.toast(`Synthetic people have the skeleton kinect_v1, ${this.user.id} has ${this.user.skeleton}.`, true);
       return;
     }
-    const number = [...this.user.id].reduce((sum, letter) => (31 * sum + letter.codePointAt(0)) % 997, 5);
+    const demo = DEMO.findIndex(([id]) => id === this.selected) + 1;
+    const number = demo || [...this.selected].reduce((sum, letter) => (31 * sum + letter.codePointAt(0)) % 997, 5);
     this.#files.delete(this.selected);
     this.#perform(this.selected, new SyntheticPerson(number));
   }

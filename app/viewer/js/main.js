@@ -18,8 +18,18 @@ import { View } from './view.js';
 import { takeDrops } from './files/drop.js';
 
 export const app = new App();
-export const stage = new Stage(byId('stage'));
+export const stage = makeStage();
 export const view = new View(app, stage);
+
+function makeStage() {
+  try {
+    return new Stage(byId('stage'));
+  } catch (error) {
+    byId('banner').textContent = 'This browser cannot draw in 3D: WebGL is off or missing.';
+    byId('banner').hidden = false;
+    throw error;
+  }
+}
 
 const transport = new Transport(view, byId('transport'));
 const legend = new Legend(view);

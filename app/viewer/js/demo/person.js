@@ -20,7 +20,7 @@ export class SyntheticPerson {
     this.phases = Array.from({ length: 18 }, () => vary(0, 2 * Math.PI));
     this.floor = -1.0;
     this.home = [0, 0, 2.8];
-    this.offset = 3 * (seed % 4);
+    this.offset = 3 * ((seed - 1) % 3);
     this.segments = [];
     this.end = 0;
   }
