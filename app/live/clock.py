@@ -5,6 +5,8 @@ import math
 _SLEW = 0.1
 _STEP_MAX_S = 0.1
 _FAR_S = 5.0
+_LATE_S = 0.5
+"""A pong after this long says too little: its program stood still, or its link stalled."""
 _RTT_FORGET = 1.02
 
 
@@ -49,7 +51,7 @@ class ClientClock:
     def pong(self, *, server_t: float, t: float, now: float) -> None:
         """Learn from a pong: sent by us at `server_t`, answered at the client's `t`."""
         rtt = now - server_t
-        if not (0 <= rtt <= _FAR_S and math.isfinite(t)):
+        if not (0 <= rtt <= _LATE_S and math.isfinite(t)):
             return
         self._rtt *= _RTT_FORGET
         if rtt <= self._rtt:

@@ -68,3 +68,17 @@ def test_a_backlog_is_as_old_as_the_stall() -> None:
     ages = [clock.observe(i / 30, 103.0) for i in range(30, 90)]
     assert ages[0] > 1900
     assert ages[-1] < 50
+
+
+def test_a_pong_of_a_program_that_stood_still_does_not_age_what_follows() -> None:
+    clock = ClientClock()
+    clock.observe(0.0, 100.0)
+    clock.pong(server_t=100.0, t=3.5, now=103.5)  # the ping waited 3.5 s to be read
+    assert clock.observe(3.6, 103.6) < 100
+
+
+def test_a_quick_pong_tells_more_than_frames_that_were_all_delayed() -> None:
+    clock = ClientClock()
+    clock.observe(0.0, 100.2)
+    clock.pong(server_t=100.3, t=0.31, now=100.32)
+    assert 180 < clock.observe(0.4, 100.6) < 220
