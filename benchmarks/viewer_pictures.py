@@ -9,6 +9,7 @@ import argparse
 import io
 import tempfile
 from pathlib import Path
+from typing import Any
 
 from PIL import Image
 from playwright.sync_api import Browser, Page
@@ -85,7 +86,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=45.0, help="length of the recording")
     parser.add_argument("--steps", type=int, help="optimisation steps of a fit")
     options = parser.parse_args()
-    own = {"finetune_nice": 0}
+    own: dict[str, Any] = {"finetune_nice": 0}
     if options.steps is not None:
         own["finetune_steps"] = options.steps
     FIGURES.mkdir(parents=True, exist_ok=True)
