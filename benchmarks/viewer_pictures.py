@@ -9,6 +9,7 @@ import argparse
 import io
 import tempfile
 from pathlib import Path
+from typing import Any
 
 from PIL import Image
 from playwright.sync_api import Browser, Page
@@ -17,7 +18,7 @@ from app.commands.own_server import run_own_server
 from benchmarks.browser import SIZE, ask, open_browser, sign_in
 
 FIGURES = Path("docs/figures")
-STEPS = 90
+STEPS = 60
 STEP_FRAMES = 2
 FPS = 30
 WIDTH = 800
@@ -47,7 +48,7 @@ def take_still(page: Page, name: str) -> None:
 
 def take_film(page: Page) -> None:
     """Go through the newest seconds of a pause and keep the room as a moving picture."""
-    ask(page, f"main.view.seek({STEPS * STEP_FRAMES})")
+    ask(page, "main.view.flip('beside')")
     box = page.locator("#stage-box").bounding_box()
     assert box is not None
     frames = []
@@ -74,7 +75,7 @@ def take_dark(browser: Browser, url: str, key: str) -> None:
     page = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]}, color_scheme="dark")
     sign_in(page, url, key)
     page.click("[data-key=demo-3]")
-    page.wait_for_timeout(20_000)
+    page.wait_for_timeout(12_000)
     ask(page, "main.view.pause()")
     take_still(page, "dark")
     page.close()
@@ -85,7 +86,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=45.0, help="length of the recording")
     parser.add_argument("--steps", type=int, help="optimisation steps of a fit")
     options = parser.parse_args()
-    own = {"finetune_nice": 0}
+    own: dict[str, Any] = {"finetune_nice": 0}
     if options.steps is not None:
         own["finetune_steps"] = options.steps
     FIGURES.mkdir(parents=True, exist_ok=True)

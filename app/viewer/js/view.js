@@ -65,7 +65,8 @@ export class View extends Emitter {
   pause() {
     if (!this.app.performers.size) return;
     this.#frozen = new Map([...this.app.performers].map(([id, one]) => [id, one.history.toArray()]));
-    this.back = 1;
+    const history = this.app.performer?.history;
+    this.back = history ? history.next - 1 - this.#findNow(history) : 0;
     this.emit('change');
   }
 

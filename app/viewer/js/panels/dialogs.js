@@ -44,7 +44,7 @@ export class Dialogs {
     const dialog = byId('help');
     replace(dialog,
       h('h2', { id: 'help-title' }, 'What you see'),
-      h('p', {}, 'The body is what the sensor sees now. The ghosts are where Kinecast expects it within the next half second. The shell around the last ghost holds each joint with a probability of 90 %. The thin figure with dots is what was forecast for this very moment half a second ago: the closer it lies to the body, the better.'),
+      h('p', {}, 'The body is what the sensor sees now. The ghosts are where Kinecast expects it within the next half second. The hull holds each joint a fifth of a second from now with a probability of 90 %. The thin figure with dots is what was forecast for this very moment half a second ago: the closer it lies to the body, the better.'),
       h('dl', { class: 'keys' }, SHORTCUTS.map(([keys, text]) => [
         h('dt', {}, keys.split(' ').map((key) => h('kbd', {}, key))), h('dd', {}, text)])),
       h('div', { class: 'row' }, h('button', { class: 'button primary', type: 'button', onclick: () => dialog.close() }, 'Close')));

@@ -22,7 +22,7 @@ export class Legend {
       [line('--truth', 5), 'now'],
       isPersonal && [ghosts('--personal'), 'forecast, personal'],
       (show.base || !isPersonal) && [ghosts('--base'), isPersonal ? 'forecast, base' : 'forecast by the base'],
-      show.tubes && [tube(isPersonal ? '--personal' : '--base'), '90 % of joints, in 0.5 s'],
+      show.tubes && [tube(isPersonal ? '--personal' : '--base'), '90 % of joints, in 0.2 s'],
       show.echo && [echo(isPersonal ? '--personal' : '--base'), 'forecast 0.5 s ago for now'],
     ].filter(Boolean) : [];
     const mark = JSON.stringify(rows.map(([, text]) => text)) + isPersonal;

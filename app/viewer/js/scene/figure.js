@@ -5,6 +5,8 @@ import { ghost, hull, hullDepth, makeShadow, solid } from './materials.js';
 
 /** Frames ahead at which ghosts stand: a tenth of a second and so on to half a second. */
 const GHOSTS = [3, 6, 9, 12, 15];
+/** Frames ahead at which the radius is shown: a fifth of a second, where it still has the shape of a body. */
+const HULL = 6;
 const LIVE = { bone: 0.026, joint: 0.034 };
 const GHOST = { bone: 0.013, joint: 0.016 };
 const ECHO = { bone: 0.008, joint: 0.018 };
@@ -13,8 +15,8 @@ const BESIDE_M = 1.05;
 const SPOT = new THREE.PlaneGeometry(1, 1).rotateX(-Math.PI / 2);
 
 /**
- * One person in the room: the body as it is, the ghosts of what is to come, the radius about the
- * last of them, and the echo of what was said of this very moment half a second ago.
+ * One person in the room: the body as it is, the ghosts of what is to come, the radius about
+ * an early one, and the echo of what was said of this very moment half a second ago.
  */
 export class Figure {
   /** @param {{bones: number[][], joints: {name: string}[]}} skeleton */
@@ -34,7 +36,7 @@ export class Figure {
     const shell = { detail: 'round', order: 3 };
     this.tubes = { personal: make(hullDepth(), shell), base: make(hullDepth(), shell) };
     this.hulls = {
-      personal: this.tubes.personal.add(hull(0.34, 0.55), 4), base: this.tubes.base.add(hull(0.3, 0.55), 4),
+      personal: this.tubes.personal.add(hull(0.3, 0.6), 4), base: this.tubes.base.add(hull(0.28, 0.6), 4),
     };
     this.shadows = [0.9, 0.34, 0.34].map((wide) => {
       const spot = new THREE.Mesh(SPOT, this.shadowMaterial ??= makeShadow());
@@ -93,10 +95,9 @@ export class Figure {
       const pose = forecast ? this.#pose(forecast, ahead, show.up) : null;
       this.ghosts[name].set(i, pose, () => GHOST.joint, 0.16 + 0.84 * ((i + 1) / GHOSTS.length) ** 2);
     });
-    const last = GHOSTS.at(-1);
     const joints = this.width / 3;
-    const radii = show.tubes ? forecast?.radius?.subarray((last - 1) * joints, last * joints) : null;
-    this.tubes[name].set(0, radii ? this.#pose(forecast, last, show.up) : null, (j) => radii[j]);
+    const radii = show.tubes ? forecast?.radius?.subarray((HULL - 1) * joints, HULL * joints) : null;
+    this.tubes[name].set(0, radii ? this.#pose(forecast, HULL, show.up) : null, (j) => radii[j]);
   }
 
   /** The first pose settles where the person stands, the lowest joint where the floor is. */
