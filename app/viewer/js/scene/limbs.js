@@ -1,7 +1,7 @@
 import * as THREE from 'three';
 
 /** Sides of a bone, and rings and sides of a joint, by how closely they are looked at. */
-const DETAIL = { fine: [10, 7, 12], coarse: [5, 3, 6], round: [12, 8, 12] };
+const DETAIL = { fine: [8, 6, 9], coarse: [4, 2, 4], round: [9, 6, 9] };
 
 /**
  * Poses of one skeleton as round bones and joints, in one call to the card.
