@@ -10,7 +10,7 @@ TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 TORCH := torch==2.13.0
 
 .DEFAULT_GOAL := help
-.PHONY: figures viewer-frames screenshots docs planning studies study-bases study-main study-everybody study-unseen study-growth study-wild study-seconds study-ablation coverage live peers where personal reproduce stream-check performance picture crowd faults help serve test lint types imports check-migrations unit clean
+.PHONY: browser figures viewer-frames screenshots docs planning studies study-bases study-main study-everybody study-unseen study-growth study-wild study-seconds study-ablation coverage live peers where personal reproduce stream-check performance picture crowd faults help serve test lint types imports check-migrations unit clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
@@ -140,6 +140,9 @@ figures: $(VENV)/.test ## draw docs/figures from the studies' rows and recording
 
 picture: $(VENV)/.test ## draw docs/figures/demo.svg
 	$(BIN)/python -m benchmarks.picture $(ARGS)
+
+browser: $(VENV)/.test ## every button of the viewer in a real Chromium; screenshots in build/ (about 3 min)
+	OMP_NUM_THREADS=1 $(BIN)/pytest -q -m "browser or not browser" --timeout 300 tests/browser $(ARGS)
 
 viewer-frames: $(VENV)/.test ## pictures per second of the viewer, drawn in software; on an idle machine (40 s)
 	$(BIN)/python -m benchmarks.viewer_frames $(ARGS)

@@ -96,10 +96,16 @@ def server(tmp_path_factory) -> Iterator[OwnServer]:
         save_checkpoint(folder / "small.safetensors", Predictor(config=TINY), {})
     own = {"model": folder / "small.safetensors", "worker_poll_s": 0.2, "finetune_steps": 20}
     with run_own_server(folder, **own) as running:
-        add_person(running, TRAINED, display_name="Pia")
-        add_trial(running, TRAINED)  # its version is ready by the time that it is looked at
-        call(running, "POST", f"/v1/admin/users/{TRAINED}/finetune", json={"trials": None})
         yield running
+
+
+@pytest.fixture(scope="package")
+def trained(server: OwnServer) -> str:
+    """Give a person for whom a version is being fitted; it is ready when it is looked at."""
+    add_person(server, TRAINED, display_name="Pia")
+    add_trial(server, TRAINED)
+    call(server, "POST", f"/v1/admin/users/{TRAINED}/finetune", json={"trials": None})
+    return TRAINED
 
 
 @pytest.fixture(scope="package")
