@@ -111,10 +111,13 @@ class Stack:
         with self._lock, torch.inference_mode():
             if not self._free:
                 self._grow()
-            row = self._free[-1]
-            _write(self._slab.decoder, row, dict(personal.decoder.named_parameters()))
-            _write(self._slab.gate, row, _lay_out_gate(personal))
-            self._free.pop()
+            row = self._free.pop()  # at once: others come back at any moment, from any thread
+            try:
+                _write(self._slab.decoder, row, dict(personal.decoder.named_parameters()))
+                _write(self._slab.gate, row, _lay_out_gate(personal))
+            except BaseException:
+                self._free.append(row)
+                raise
         decoder = StackedDecoder(personal.base, self, row, personal.metadata)
         weakref.finalize(decoder, self._free.append, row).atexit = False
         return decoder

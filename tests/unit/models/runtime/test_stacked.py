@@ -2,6 +2,7 @@
 
 import gc
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from app.main import load_decoders
 from models.checkpoint import dump_personal
 from models.personal import PersonalDecoder
 from models.predictor import NetConfig
+from models.runtime import stacked
 from models.runtime.mixed import forecast_mixed
 from models.runtime.stacked import FIRST_ROWS, Stack, StackedDecoder, find_device, find_stack
 from tests.unit.models.runtime.test_fused import NET, PEOPLE, WINDOWS, make_net, vary
@@ -38,12 +40,12 @@ def forecast_alone(windows: np.ndarray, people: list[PersonalDecoder | None]) ->
 @pytest.mark.parametrize("device", DEVICES)
 def test_each_window_is_answered_by_its_own_decoder_and_gate(device: str) -> None:
     stack = Stack(NET, device)
-    stacked = [stack.add(one) for one in PEOPLE]
+    added = [stack.add(one) for one in PEOPLE]
     people = [None if row is None else PEOPLE[row] for row in ROWS]
     expected = forecast_alone(WINDOWS, people)
     shares = []
     for count in (9, 1, 4, 9):  # padded, alone, full, and again
-        decoders = [None if row is None else stacked[row] for row in ROWS[:count]]
+        decoders = [None if row is None else added[row] for row in ROWS[:count]]
         displacement, share = stack.forecast(ROOM[:count], decoders)
         assert np.abs(displacement - expected[:count]).max() < 1e-5
         shares = share.tolist()
@@ -77,6 +79,25 @@ def test_places_grow_with_the_people_and_are_used_again() -> None:
     after, _ = stack.forecast(ROOM[:3], [many[1], many[2], many[FIRST_ROWS - 1]])
     assert np.array_equal(before, after)
     assert np.abs(before[0] - forecast_alone(WINDOWS[:1], [PEOPLE[1]])[0]).max() < 1e-5
+
+
+def test_a_place_that_comes_back_while_another_is_filled_gives_nobody_the_same_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    stack = Stack(NET, "cpu")
+    leaving = [stack.add(PEOPLE[3])]
+    write = stacked._write
+
+    def write_slowly(*given: Any) -> None:
+        leaving.clear()
+        gc.collect()
+        write(*given)
+
+    monkeypatch.setattr(stacked, "_write", write_slowly)
+    first, second, third = (stack.add(PEOPLE[i]) for i in range(3))
+    assert len({first.row, second.row, third.row}) == 3
+    displacement, _ = stack.forecast(ROOM[:1], [first])
+    assert np.abs(displacement[0] - forecast_alone(WINDOWS[:1], [PEOPLE[0]])[0]).max() < 1e-5
 
 
 def test_broken_weights_harm_nobody_else() -> None:
