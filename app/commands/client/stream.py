@@ -31,6 +31,14 @@ _RTT_FORGET = 1.02
 each one since: clocks drift."""
 
 
+class _Dial(connect):
+    """Follows no redirect: the key is for the service that was named, and for nobody else."""
+
+    def process_redirect(self, exc: Exception) -> Exception:
+        """Take it for what it is, an answer that opens no stream."""
+        return exc
+
+
 class Stream:
     """An open stream. Made by `open_stream`.
 
@@ -184,7 +192,7 @@ async def open_stream(
     """
     address = find_stream_url(url, user, query)
     headers = {} if key is None else {"Authorization": f"Bearer {key}"}
-    connection = connect(
+    connection = _Dial(
         address,
         subprotocols=[Subprotocol(subprotocol)],
         additional_headers=headers,

@@ -8,6 +8,8 @@ import { Performer } from './performer.js';
 const DEMO = [['demo-ada', 'Ada (synthetic)'], ['demo-ben', 'Ben (synthetic)'], ['demo-cleo', 'Cleo (synthetic)']];
 const TICK_MS = 8;
 const REFRESH_MS = 5000;
+/** Each holds a connection, of which a browser has six for everything. */
+const WATCHED_MOST = 3;
 const OPEN_STATES = new Set(['queued', 'running']);
 
 /**
@@ -152,11 +154,15 @@ export class App extends Emitter {
     ]);
     if (id !== this.selected) return;
     this.details = { trials, versions, jobs };
-    jobs.filter((job) => OPEN_STATES.has(job.state)).forEach((job) => this.#watch(job));
+    jobs.filter((job) => OPEN_STATES.has(job.state)).slice(0, WATCHED_MOST).forEach((job) => this.#watch(job));
   }
 
   #watch(job) {
     if (this.#watched.has(job.id)) return;
+    for (const [id, oldest] of [...this.#watched].slice(0, Math.max(0, this.#watched.size + 1 - WATCHED_MOST))) {
+      oldest.abort();
+      this.#watched.delete(id);
+    }
     const watch = new AbortController();
     this.#watched.set(job.id, watch);
     const told = (news) => {
@@ -168,7 +174,7 @@ export class App extends Emitter {
     };
     this.api.watchJob(job.id, told, watch.signal)
       .catch(() => {}) // looked at again with the next refresh
-      .finally(() => this.#watched.delete(job.id));
+      .finally(() => { if (this.#watched.get(job.id) === watch) this.#watched.delete(job.id); });
   }
 
   #tellEnd(job) {

@@ -2,6 +2,17 @@
 
 /** Frames ahead at which errors are shown: a third of a second and half a second. */
 export const HORIZONS = [10, 15];
+export const FPS = 30;
+
+/**
+ * Whether a time lies that many frames after another, to half a frame.
+ * @param {number} t seconds
+ * @param {number} before seconds
+ * @param {number} frames
+ */
+export function isAhead(t, before, frames) {
+  return Math.abs((t - before) * FPS - frames) < 0.5;
+}
 
 /**
  * Mean distance per joint between two poses; joints that are missing in either are left out.

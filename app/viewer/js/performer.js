@@ -1,10 +1,10 @@
 import { Emitter } from './emitter.js';
-import { HORIZONS, scoreFrame } from './metrics.js';
+import { FPS, HORIZONS, isAhead, scoreFrame } from './metrics.js';
 import { Ring } from './ring.js';
 import { Stream, now } from './stream.js';
 import { fromYUp } from './space.js';
 
-export const FPS = 30;
+export { FPS };
 /** Seconds that can be looked back on. */
 export const HISTORY_S = 30;
 /** Forecasts may take as long as a frame; later is a missed deadline. */
@@ -113,16 +113,22 @@ export class Performer extends Emitter {
   #send(n) {
     const { joints, action } = this.source.frame(n);
     const t = this.#began + n / FPS;
-    const turned = joints && fromYUp(joints, this.user.up);
+    const turned = joints && (this.source.isYUp ? fromYUp(joints, this.user.up) : joints);
     const seq = this.seq++;
     if (this.recording?.state === 'recording') this.#nameClip(action);
     const moment = {
       seq, n, t, joints: turned, action, sentAt: now(), personal: null, base: null, latencyMs: NaN,
-      errors: HORIZONS.map((ahead) => scoreFrame(turned, this.history.get(seq - ahead), ahead)),
+      errors: HORIZONS.map((ahead) => scoreFrame(turned, this.#past(seq, t, ahead), ahead)),
     };
     this.history.push(moment);
     this.#personal.frame(seq, t, turned);
     this.#base?.frame(seq, t, turned);
+  }
+
+  /** The moment that many frames before; none where the page was held up in between. */
+  #past(seq, t, ahead) {
+    const past = this.history.get(seq - ahead);
+    return past && isAhead(t, past.t, ahead) ? past : undefined;
   }
 
   /** What is being done becomes the name of the clip. */

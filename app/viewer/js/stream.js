@@ -5,6 +5,8 @@ const PROTOCOL = 'kinecast.v1.msgpack';
 /** Seconds of frames that fill the window of a new connection. */
 const REPLAY_S = 0.6;
 const BACK_OFF_S = { first: 0.1, most: 5 };
+/** A connection that lasted this long was a good one. */
+const SETTLED_S = 5;
 /** Close codes after which coming back makes no sense without somebody's help. */
 const FINAL = new Set([4400, 4401, 4403, 4404, 4406, 4409, 4410, 4413]);
 
@@ -21,6 +23,7 @@ export class Stream extends Emitter {
   #socket = null;
   #recent = [];
   #failures = 0;
+  #openedAt = Infinity;
   #timer = 0;
   #fatal = '';
   #retryAfter = 0;
@@ -102,13 +105,13 @@ export class Stream extends Emitter {
     if (message.type === 'hello') this.#greet(message);
     else if (message.type === 'forecast') this.emit('forecast', readForecast(message));
     else if (message.type === 'ping') this.#write({ ...message, type: 'pong', t: now() });
-    else if (message.type === 'bye') this.#retryAfter = message.retry_after_s;
+    else if (message.type === 'bye') this.#retryAfter = message.retry_after_s || 0;
     else if (message.type === 'error') this.#complain(message);
     else this.emit(message.type, message);
   }
 
   #greet(message) {
-    this.#failures = 0;
+    this.#openedAt = now();
     this.#fatal = '';
     for (const frame of this.#recent) this.#write({ ...frame, replay: true });
     this.#set('open');
@@ -127,6 +130,8 @@ export class Stream extends Emitter {
       this.#set('closed', this.#fatal || `closed with code ${code}`);
       return;
     }
+    if (now() - this.#openedAt >= SETTLED_S) this.#failures = 0;
+    this.#openedAt = Infinity;
     const most = Math.min(BACK_OFF_S.most, BACK_OFF_S.first * 2 ** this.#failures++);
     const wait = Math.max(this.#retryAfter, most * (0.5 + Math.random() / 2));
     this.#retryAfter = 0;

@@ -1,5 +1,5 @@
 import { Emitter } from './emitter.js';
-import { HORIZONS } from './metrics.js';
+import { HORIZONS, isAhead } from './metrics.js';
 import { FPS, HISTORY_S } from './performer.js';
 import { Figure } from './scene/figure.js';
 import { readPalette } from './scene/palette.js';
@@ -166,11 +166,17 @@ export class View extends Emitter {
     const moment = this.momentOf(id);
     if (!moment) return;
     const { show } = this;
-    figure.set(moment, this.#hold(id, moment), this.momentOf(id, HALF_SECOND), {
+    figure.set(moment, this.#hold(id, moment), this.#past(id, moment), {
       ...show,
       up: this.app.performers.get(id)?.user.up ?? 'y',
       base: show.base && (id === this.app.selected || !this.app.performers.get(id)?.isPersonal),
     });
+  }
+
+  /** The moment half a second before; none where the page was held up in between. */
+  #past(id, moment) {
+    const past = this.momentOf(id, HALF_SECOND);
+    return past && isAhead(moment.t, past.t, HALF_SECOND) ? past : undefined;
   }
 
   /** Let a forecast stand for half a second, so that the person walks into it. */

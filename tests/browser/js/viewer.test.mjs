@@ -14,6 +14,8 @@ const { readNpz } = await load('files/npz.js');
 const { readCsv } = await load('files/csv.js');
 const { Player, readRecording } = await load('files/recording.js');
 const { SyntheticPerson } = await load('demo/person.js');
+const { Performer } = await load('performer.js');
+const { Stream } = await load('stream.js');
 
 const SKELETON = { name: 'two', joints: [{ name: 'head' }, { name: 'hip' }] };
 const fixture = (name) => new Uint8Array(readFileSync(new URL(name, `file://${process.env.VIEWER_FIXTURES}/`)));
@@ -164,4 +166,107 @@ test('synthetic people are believable, and the same for the same seed', () => {
   assert.notDeepEqual(other.frame(0).joints, one.frame(0).joints);
   const start = new SyntheticPerson(1).frame(0).joints;
   assert.ok(start[8 * 3] > start[4 * 3]); // facing the sensor, the right side is at larger x
+});
+
+/** A performer without a connection, whose clock is ours. */
+function perform(t, source, up = 'y') {
+  let now = 1000;
+  t.mock.method(performance, 'now', () => now);
+  const skeleton = { name: 'one', joints: [{ name: 'hip' }] };
+  const performer = new Performer({
+    url: new URL('http://x/'), key: () => '', user: { id: 'a', up, version: null }, skeleton, source,
+  });
+  performer.play(source);
+  return { performer, wait: (ms) => { now += ms; performer.tick(); } };
+}
+
+test('an error is that of the frame that a forecast was for, or none where the page was held up', (t) => {
+  const { performer, wait } = perform(t, { frame: (n) => ({ joints: new Float32Array([n / 100, 0, 0]), action: null }) });
+  for (let i = 0; i < 20; i++) wait(1000 / 30 + 1e-6);
+  assert.ok(Math.abs(performer.history.last.errors[0].zero - 100) < 0.1);
+  for (let i = 0; i < 20; i++) wait(1000); // as in a tab that is not looked at
+  assert.equal(performer.history.next, 39 + 1);
+  assert.ok(Number.isNaN(performer.history.last.errors[0].zero));
+});
+
+test('a synthetic person is turned into the axes of the user, a recording is in them', (t) => {
+  const joints = new Float32Array([1, 2, 3]);
+  const frame = () => ({ joints, action: null });
+  for (const [isYUp, expected] of [[true, [3, 1, 2]], [undefined, [1, 2, 3]]]) {
+    const { performer, wait } = perform(t, { frame, isYUp }, 'z');
+    wait(40);
+    assert.deepEqual([...performer.history.last.joints], expected);
+    t.mock.restoreAll();
+  }
+  assert.equal(new SyntheticPerson(1).isYUp, true);
+});
+
+test('a service that greets and hangs up is asked less and less often', (t) => {
+  const waits = [];
+  class Socket {
+    constructor() { sockets.push(this); }
+    send() {}
+  }
+  const sockets = [];
+  const known = globalThis.WebSocket;
+  globalThis.WebSocket = Socket;
+  t.after(() => { globalThis.WebSocket = known; });
+  t.mock.method(globalThis, 'setTimeout', (again, ms) => { waits.push(ms); again(); });
+  const stream = new Stream({ url: new URL('http://x/'), key: () => '', user: 'a' });
+  stream.open();
+  for (let i = 0; i < 8; i++) {
+    const socket = sockets.at(-1);
+    socket.onmessage({ data: encode({ type: 'hello' }).buffer });
+    socket.onclose({ code: 1011 });
+  }
+  assert.equal(waits.length, 8);
+  assert.ok(waits[0] <= 100 && waits[7] >= 2500, String(waits));
+});
+
+/** A zip of arrays that are stored as they are, as far as the reader looks. */
+function pack(arrays) {
+  const text = new TextEncoder();
+  const parts = [];
+  const entries = [];
+  let at = 0;
+  for (const [name, { descr, shape, data }] of Object.entries(arrays)) {
+    const header = text.encode(`{'descr': '${descr}', 'fortran_order': False, 'shape': (${shape}), }`);
+    const body = new Uint8Array([0x93, 0x4e, 0x55, 0x4d, 0x50, 0x59, 1, 0].slice(0, 8).concat([header.length & 255, header.length >> 8]));
+    const bytes = [...body, ...header, ...data];
+    const label = text.encode(`${name}.npy`);
+    const entry = new DataView(new ArrayBuffer(46));
+    entry.setUint32(0, 0x02014b50, true);
+    entry.setUint32(20, bytes.length, true);
+    entry.setUint16(28, label.length, true);
+    entry.setUint32(42, at, true);
+    entries.push(...new Uint8Array(entry.buffer), ...label);
+    parts.push(...new Uint8Array(30), ...bytes);
+    at += 30 + bytes.length;
+  }
+  const end = new DataView(new ArrayBuffer(22));
+  end.setUint32(0, 0x06054b50, true);
+  end.setUint16(10, Object.keys(arrays).length, true);
+  end.setUint32(16, at, true);
+  return new Uint8Array([...parts, ...entries, ...new Uint8Array(end.buffer)]);
+}
+
+test('a small file that claims to be a huge one does not hold the page up', async () => {
+  const doubles = (...values) => [...new Uint8Array(Float64Array.from(values).buffer)];
+  const good = {
+    frames: { descr: '<f8', shape: '2, 1, 3', data: doubles(0, 1, 2, 3, 4, 5) },
+    lengths: { descr: '<f8', shape: '2,', data: doubles(2, 0) },
+    action: { descr: '<U1', shape: '2,', data: [97, 0, 0, 0, 98, 0, 0, 0] },
+    rate_hz: { descr: '<f8', shape: '', data: doubles(30) },
+  };
+  const one = { name: 'one', joints: [{ name: 'hip' }] };
+  const read = (changes) => readRecording(new File([pack({ ...good, ...changes })], 'a.npz'), one);
+  assert.deepEqual((await read({})).map((clip) => clip.frames.length), [2]);
+  const huge = 2e9;
+  for (const changes of [
+    { frames: { descr: '<f8', shape: `${huge}, 0, 3`, data: [] }, lengths: { descr: '<f8', shape: '1,', data: doubles(huge) } },
+    { action: { descr: '<U0', shape: `${huge},`, data: [] } },
+    { lengths: { descr: '<f8', shape: '2,', data: doubles(-1, 3) } },
+    { frames: { descr: '<f8', shape: 'x, 1, 3', data: doubles(0) } },
+    { rate_hz: { descr: '<f8', shape: '', data: doubles(0) } },
+  ]) await assert.rejects(read(changes), /a\.npz/);
 });

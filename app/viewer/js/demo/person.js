@@ -13,6 +13,7 @@ const WHAT = ['wave', 'throw', 'squat', 'walk', 'circle', 'sit', 'throw', 'reach
 export class SyntheticPerson {
   /** @param {number} seed */
   constructor(seed) {
+    this.isYUp = true; // and is to be turned into the axes of whom it plays
     this.random = randomOf(seed * 7919 + 17);
     const vary = (least, most) => least + (most - least) * this.random();
     this.body = makeBody(vary(0.93, 1.07));

@@ -34,7 +34,8 @@ export async function readNpz(bytes, name) {
 
 function cut({ frames, lengths, action, rate_hz: rate }) {
   const [count, joints, axes] = frames.shape;
-  if (frames.shape.length !== 3 || axes !== 3) throw new Error('frames must have the shape [N, J, 3]');
+  if (frames.shape.length !== 3 || axes !== 3 || joints < 1) throw new Error('frames must have the shape [N, J, 3]');
+  if (!lengths.values.every((length) => Number.isInteger(length) && length >= 0)) throw new Error('lengths must be whole numbers');
   const total = lengths.values.reduce((sum, length) => sum + length, 0);
   if (total !== count) throw new Error(`lengths add up to ${total}, but there are ${count} frames`);
   let at = 0;
@@ -90,13 +91,14 @@ export function readNpy(bytes) {
   if (!/'fortran_order':\s*False/.test(header)) throw new Error('an array is in Fortran order');
   const shape = (/'shape':\s*\(([^)]*)\)/.exec(header)?.[1] ?? '')
     .split(',').filter((part) => part.trim()).map(Number);
+  if (!shape.every((size) => Number.isInteger(size) && size >= 0)) throw new Error('an array has no shape');
   const count = shape.reduce((product, size) => product * size, 1);
   return { shape, values: readValues(view, begin, kind, count) };
 }
 
 function readValues(view, begin, kind, count) {
   const check = (size) => {
-    if (begin + size * count > view.byteLength) throw new Error('an array ends too early');
+    if (!(size >= 1) || begin + size * count > view.byteLength) throw new Error('an array ends too early');
   };
   if (kind.startsWith('<U')) {
     const width = 4 * Number(kind.slice(2));

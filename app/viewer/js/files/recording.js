@@ -29,12 +29,13 @@ export async function readRecording(file, skeleton) {
     '.csv': () => readCsv(new TextDecoder().decode(bytes), file.name, skeleton),
   };
   if (!readers[suffix]) throw new Error(`${file.name}: expected .mat, .npz or .csv.`);
-  const clips = await readers[suffix]();
+  const clips = (await readers[suffix]()).filter((clip) => clip.frames.length);
   if (!clips.length) throw new Error(`${file.name} has no frames.`);
   const expected = skeleton.joints.length;
   if (clips.some((clip) => clip.joints !== expected)) {
     throw new Error(`${file.name} has ${clips[0].joints} joints, ${skeleton.name} has ${expected}.`);
   }
+  if (!clips.every(({ rateHz }) => rateHz > 0 && rateHz < Infinity)) throw new Error(`${file.name}: its rate makes no sense.`);
   return clips;
 }
 

@@ -105,6 +105,7 @@ export class Figure {
     let lowest = Infinity;
     for (let i = 1; i < pose.length; i += 3) if (pose[i] < lowest) lowest = pose[i];
     const hips = Math.max(0, this.hips);
+    if (!Number.isFinite(lowest)) return; // nothing of the person is seen
     if (!this.anchor) {
       if (!Number.isFinite(pose[3 * hips])) return;
       this.anchor = { x: pose[3 * hips], z: pose[3 * hips + 2], floor: lowest };

@@ -24,6 +24,14 @@ WRITE_BYTES = 4096
 log = logging.getLogger("kinecast_client")
 
 
+class _Dial(connect):
+    """Follows no redirect: the key is for the service that was named, and for nobody else."""
+
+    def process_redirect(self, exc: Exception) -> Exception:
+        """Take it for what it is, an answer that opens no stream."""
+        return exc
+
+
 class Target(NamedTuple):
     """Where a stream leads.
 
@@ -123,7 +131,7 @@ class Link:
             open_s = self.core.rules.open_s
         url, user, key = self._target
         try:
-            socket = await connect(
+            socket = await _Dial(
                 find_stream_url(url, user, query),
                 subprotocols=[Subprotocol(subprotocol)],
                 additional_headers={"Authorization": f"Bearer {key}"},

@@ -88,10 +88,10 @@ class Stream(StreamBase):
 
     def close(self) -> None:
         """Close it. Calling this again does nothing."""
-        self._link.end()
         with self._changed:
             self._core.close()
             self._changed.notify_all()
+        self._link.end()  # after that, or a link that begins just now would miss both
         try:
             self._running.result(2 * CLOSE_S)
         except Exception:

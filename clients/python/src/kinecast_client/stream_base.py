@@ -96,7 +96,7 @@ class StreamBase:
         """Give the newest forecast that may be used now. Never waits and never raises.
 
         None where there is none: its newest frame is older than `max_age_s`, it came over `hold_s`
-        ago, the stream was reset or reconnected since, or it is not open any more.
+        ago, the stream was reset or reconnected since, or it was closed or stopped.
         """
         with self._lock:
             return self._core.latest(self._now())
