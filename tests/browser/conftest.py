@@ -51,8 +51,9 @@ class Window:
             self.wrong.append(f"{kind}: {text}")
 
     def _note_request(self, request: Request) -> None:
-        # The page itself hangs up on a job that it follows.
-        if not request.url.endswith("/events"):
+        # The page itself hangs up: on a job that it follows, and on all when it is left.
+        is_own = request.url.endswith("/events") or "ERR_ABORTED" in (request.failure or "")
+        if not is_own:
             self.wrong.append(f"request: {request.url} {request.failure}")
 
     def forgive(self, *parts: str) -> None:

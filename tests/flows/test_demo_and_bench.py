@@ -11,6 +11,7 @@ from app.commands.own_server import run_own_server
 from app.settings import CLIENT_KEY_VARIABLE, make_environment
 from models.runtime.fused import PROCESSORS
 from models.runtime.pack import KINDS
+from models.runtime.stacked import find_device
 from tests.flows.conftest import add_key, call
 
 
@@ -198,7 +199,7 @@ def test_bench_forecast_compares_every_way_and_the_floor() -> None:
     told, _ = run("bench", "forecast", "--users", "1,4", "--repeats", "5", "--json")
     report = json.loads(told)
     kernels = [f"{name} {kind}" for name in PROCESSORS for kind in KINDS]
-    ways = ["eager", "torch", *kernels]
+    ways = ["eager", "torch", f"stacked {find_device('auto') or 'cpu'}", *kernels]
     rows = report["rows"]
     assert [(row["users"], row["way"]) for row in rows] == [(n, w) for n in (1, 4) for w in ways]
     assert all(row["calls"] == 5 for row in rows)

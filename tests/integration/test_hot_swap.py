@@ -176,7 +176,7 @@ async def test_a_stream_may_pin_a_version_that_is_not_active(server, settings) -
             np.testing.assert_allclose(
                 forecast["frames"], forecast_offline(MINE, PERSON[:15]), atol=1e-5
             )
-            await client.send(type="configure", version=2)
+            await client.send(type="configure", version=2, max_age_ms=60_000.0)
             await client.expect("configured")
             await client.frame(15, 15 / 30, PERSON[15])
             assert (await client.expect("forecast"))["version"]["number"] == 2
