@@ -10,7 +10,7 @@ import pytest
 from kinecast_client import Client, UnreachableError
 from kinecast_client.link import Link
 
-from app.commands.client.stream import UnreachableError as NotThereError
+from app.commands.client.errors import UnreachableError as NotThereError
 from app.commands.client.stream import open_stream
 
 
