@@ -223,6 +223,83 @@ test('a service that greets and hangs up is asked less and less often', (t) => {
   assert.ok(waits[0] <= 100 && waits[7] >= 2500, String(waits));
 });
 
+test('a recording survives a link that breaks, and ends where it is refused', (t) => {
+  const { performer } = perform(t, { frame: () => ({ joints: null, action: null }) });
+  const sockets = [];
+  class Socket {
+    static OPEN = 1;
+    readyState = 1;
+    said = [];
+    constructor() { sockets.push(this); }
+    send(bytes) { this.said.push(decode(bytes)); }
+    close() {}
+  }
+  const known = globalThis.WebSocket;
+  globalThis.WebSocket = Socket;
+  t.after(() => { globalThis.WebSocket = known; });
+  t.mock.method(globalThis, 'setTimeout', (again) => again());
+  const hear = (message) => sockets.at(-1).onmessage({ data: encode(message).buffer });
+  const said = () => sockets.at(-1).said.map((message) => message.type).filter((type) => type.startsWith('trial'));
+
+  performer.start();
+  hear({ type: 'hello', version: null });
+  performer.startTrial('one');
+  assert.equal(performer.recording.state, 'starting');
+  hear({ type: 'error', code: 'invalid_request', message: 'no' });
+  assert.equal(performer.recording, null);
+
+  performer.startTrial('two');
+  hear({ type: 'trial', trial: performer.recording.trial, state: 'recording' });
+  performer.stopTrial(true);
+  assert.equal(performer.recording.state, 'storing');
+  sockets.at(-1).onclose({ code: 1006 });
+  hear({ type: 'hello', version: null });
+  assert.deepEqual(said(), ['trial.resume', 'trial.stop']);
+  hear({ type: 'trial', trial: performer.recording.trial, state: 'recording' });
+  assert.equal(performer.recording.state, 'storing');
+  hear({ type: 'error', code: 'trial_unavailable', message: 'wait' });
+  assert.notEqual(performer.recording, null);
+  hear({ type: 'trial', trial: performer.recording.trial, state: 'stored' });
+  assert.equal(performer.recording, null);
+
+  performer.startTrial('three');
+  sockets.at(-1).onclose({ code: 1006 });
+  hear({ type: 'hello', version: null });
+  hear({ type: 'error', code: 'unknown_trial', message: 'never began' });
+  assert.equal(performer.recording, null);
+});
+
+test('a link on which nothing comes back is given up', (t) => {
+  const sockets = [];
+  class Socket {
+    static OPEN = 1;
+    readyState = 1;
+    sent = 0;
+    closed = false;
+    constructor() { sockets.push(this); }
+    send() { this.sent += 1; }
+    close() { this.closed = true; }
+  }
+  const known = globalThis.WebSocket;
+  globalThis.WebSocket = Socket;
+  t.after(() => { globalThis.WebSocket = known; });
+  t.mock.method(globalThis, 'setTimeout', () => 0);
+  const stream = new Stream({ url: new URL('http://x/'), key: () => '', user: 'a' });
+  stream.open();
+  const hear = (message) => sockets[0].onmessage({ data: encode(message).buffer });
+  hear({ type: 'hello' });
+  for (let seq = 0; seq < 80; seq++) stream.frame(seq, seq / 30, null);
+  hear({ type: 'waiting', reason: 'warm_up' });
+  sockets[0].bufferedAmount = 1e6;
+  stream.frame(80, 80 / 30, null);
+  assert.equal(sockets[0].sent, 80); // what cannot leave is not piled up
+  for (let seq = 81; seq < 170; seq++) stream.frame(seq, seq / 30, null);
+  assert.equal(stream.state, 'open');
+  stream.frame(170, 170 / 30, null);
+  assert.equal(stream.state, 'waiting');
+  assert.ok(sockets[0].closed);
+});
+
 /** A zip of arrays that are stored as they are, as far as the reader looks. */
 function pack(arrays) {
   const text = new TextEncoder();
