@@ -7,11 +7,11 @@ from contextlib import contextmanager, suppress
 
 
 class Wire:
-    """Forwards TCP connections to a port of this machine.
+    """Forwards TCP connections to a port, of this machine if no other host is named.
 
     Attributes:
         port: where it listens.
-        target: where it leads; may change, as when a server starts again elsewhere.
+        host, target: where it leads; the port may change, as when a server starts again elsewhere.
         delay_s: how long everything takes in each direction.
         is_stalled: whether nothing gets through, though nothing is closed.
         cut_after: bytes towards the client after which the connection is cut; None for never.
@@ -19,8 +19,8 @@ class Wire:
         opened: how many connections there were.
     """
 
-    def __init__(self, target: int) -> None:
-        self.port, self.target = 0, target
+    def __init__(self, target: int, host: str = "127.0.0.1") -> None:
+        self.port, self.target, self.host = 0, target, host
         self.delay_s = 0.0
         self.is_stalled = self.is_away = False
         self.cut_after: int | None = None
@@ -35,6 +35,14 @@ class Wire:
     def cut(self) -> None:
         """Break every connection, without a word."""
         self._loop.call_soon_threadsafe(self._sever)
+
+    def break_off(self) -> None:
+        """Break every connection, and let no new one through until it is mended."""
+        self.is_away = True
+        self.cut()
+
+    def mend(self) -> None:
+        self.is_away = False
 
     def close(self) -> None:
         self._loop.call_soon_threadsafe(self._loop.stop)
@@ -66,7 +74,7 @@ class Wire:
             writer.transport.abort()
             return
         try:
-            there_reader, there = await asyncio.open_connection("127.0.0.1", self.target)
+            there_reader, there = await asyncio.open_connection(self.host, self.target)
         except OSError:
             writer.transport.abort()
             return
@@ -97,8 +105,8 @@ class Wire:
 
 
 @contextmanager
-def open_wire(target: int) -> Iterator[Wire]:
-    wire = Wire(target)
+def open_wire(target: int, host: str = "127.0.0.1") -> Iterator[Wire]:
+    wire = Wire(target, host)
     try:
         yield wire
     finally:

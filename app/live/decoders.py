@@ -18,11 +18,10 @@ from models.baselines import DampedVelocity, Forecaster
 from models.checkpoint import Checkpoint, CheckpointError, load_checkpoint, load_personal
 from models.personal import PersonalDecoder
 from models.runtime.fused import find_packed
-from models.runtime.mixed import NET_FAILURES, forecast_mixed
+from models.runtime.mixed import NET_FAILURES, centre, forecast_mixed
 from models.runtime.pack import PackedBase
 from models.runtime.served import ServedDecoder, forecast_served, serve
 from models.runtime.stacked import Stack, StackedDecoder, find_stack
-from models.skeleton import HIP_CENTER
 from models.spec import MotionSpec
 from models.uncertainty import RadiusTable
 
@@ -152,7 +151,7 @@ class Decoders:
         packed = find_packed(self._base)
         if packed is not None:
             return forecast_served(packed, windows, [None] * len(windows)).displacement
-        given = _centre(windows)
+        given = centre(windows)
         with torch.inference_mode():
             return _to_displacement(self._base(given), given)
 
@@ -240,7 +239,7 @@ class Decoders:
         packed = find_packed(net)
         if packed is not None and not isinstance(first, PersonalDecoder):
             return _forecast_served(packed, windows, forecasters)
-        given = _centre(windows)
+        given = centre(windows)
         with torch.inference_mode():
             if isinstance(first, PersonalDecoder):
                 return _forecast_mixed(first, given, forecasters)
@@ -297,17 +296,6 @@ def _forecast_mixed(
         mixed.failures.get(row) or Computed(displacement[row], float(mixed.share[row]))
         for row in range(len(given))
     ]
-
-
-def _centre(
-    windows: Float[np.ndarray, "batch observe 20 3"],
-) -> Float[Tensor, "batch observe 20 3"]:
-    """Put each person's last hip centre at the origin, in float64, before it becomes float32.
-
-    So the place of the person in the room costs no precision.
-    """
-    centred = windows - windows[:, -1:, HIP_CENTER : HIP_CENTER + 1]
-    return torch.from_numpy(centred.astype(np.float32))
 
 
 def _to_displacement(

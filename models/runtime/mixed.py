@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -10,6 +11,7 @@ from torch import Tensor
 from models.decoder import Decoder
 from models.personal import PersonalDecoder
 from models.predictor import Encoded, Predictor
+from models.skeleton import HIP_CENTER
 
 NET_FAILURES = (
     RuntimeError,
@@ -37,6 +39,17 @@ class MixedForecast:
     frames: Float[Tensor, "batch horizon joint 3"]
     share: Float[Tensor, " batch"]
     failures: dict[int, Exception] = field(default_factory=dict)
+
+
+def centre(
+    windows: Float[np.ndarray, "batch observe 20 3"],
+) -> Float[Tensor, "batch observe 20 3"]:
+    """Put each person's last hip centre at the origin, in float64, before it becomes float32.
+
+    So the place of the person in the room costs no precision.
+    """
+    centred = windows - windows[:, -1:, HIP_CENTER : HIP_CENTER + 1]
+    return torch.from_numpy(centred.astype(np.float32))
 
 
 def forecast_mixed(

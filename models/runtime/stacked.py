@@ -25,7 +25,7 @@ from models.decoder import Decoder
 from models.familiarity import DIRECTIONS, MOST_POINTS, SNAP
 from models.personal import PersonalDecoder
 from models.predictor import Encoded, Predictor
-from models.skeleton import HIP_CENTER
+from models.runtime.mixed import centre
 
 FIRST_ROWS = 64
 LARGEST_BATCH = 64
@@ -137,8 +137,7 @@ class Stack:
             Displacements from the last observed pose (metres, in the frame of the input), and the
             share of each row's personal decoder, 0 for the base.
         """
-        centred = windows - windows[:, -1:, HIP_CENTER : HIP_CENTER + 1]
-        given = torch.from_numpy(centred.astype(np.float32))
+        given = centre(windows)
         rows = torch.tensor([_BASE if one is None else one.row for one in decoders])
         parts = zip(given.split(LARGEST_BATCH), rows.split(LARGEST_BATCH), strict=True)
         with self._lock, torch.inference_mode():

@@ -11,6 +11,7 @@ from pathlib import Path
 import httpx
 import pytest
 import torch
+from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, Request
 
 from app.commands.own_server import OwnServer, run_own_server
@@ -23,8 +24,11 @@ from tests.personal_support import record_frames
 
 SCREENSHOTS = ROOT / "build" / "screenshots"
 PATIENCE_MS = 45_000
+_STATE = """[main.app.phase, document.activeElement.id, [...main.app.performers].map(([id, one]) =>
+  [id, one.state, one.reason, one.waiting, one.seq, one.answers])]"""
 LARGE = {"width": 1280, "height": 720}
 TRAINED = "pia"
+SERIOUS = {"serious", "critical"}
 RECORDED = [(action, seed) for action in ("wave", "walk", "punch") for seed in (0, 1)]
 
 
@@ -75,7 +79,7 @@ class Window:
         """Wait until it holds; the page's own policy forbids the driver's way of waiting."""
         deadline = time.monotonic() + PATIENCE_MS / 1e3
         while not self.ask(expression):
-            assert time.monotonic() < deadline, expression
+            assert time.monotonic() < deadline, (expression, self.ask(_STATE))
             self.page.wait_for_timeout(80)
 
     def await_forecasts(self, people: int) -> None:
@@ -171,6 +175,16 @@ def add_trial(server: OwnServer, user: str) -> None:
 
 def list_trials(server: OwnServer, user: str) -> list[dict]:
     return call(server, "GET", f"/v1/users/{user}/trials").json()["items"]
+
+
+def scan(window, state):
+    """What an accessibility scan finds that somebody would stumble over."""
+    found = Axe().run(window.page).response["violations"]
+    return [
+        (state, one["id"], [node["target"] for node in one["nodes"]])
+        for one in found
+        if one["impact"] in SERIOUS
+    ]
 
 
 def find_file(folder: Path, name: str, content: bytes) -> Path:

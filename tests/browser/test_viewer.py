@@ -8,7 +8,6 @@ import httpx
 import numpy as np
 import pytest
 import scipy.io
-from axe_playwright_python.sync_playwright import Axe
 
 from models.skeleton import KINECT_V1
 from tests.browser.conftest import (
@@ -18,89 +17,12 @@ from tests.browser.conftest import (
     call,
     find_file,
     list_trials,
+    scan,
 )
-from tests.browser.proxy import cut_link
 from tests.personal_support import record_frames
+from tests.wire import open_wire
 
 SIZES = {"tablet": {"width": 1024, "height": 768}, "tall": {"width": 820, "height": 1180}}
-SERIOUS = {"serious", "critical"}
-
-
-def scan(window, state):
-    """What an accessibility scan finds that somebody would stumble over."""
-    found = Axe().run(window.page).response["violations"]
-    return [
-        (state, one["id"], [node["target"] for node in one["nodes"]])
-        for one in found
-        if one["impact"] in SERIOUS
-    ]
-
-
-def test_a_wrong_key_is_refused_and_a_right_one_stays_in_the_tab(open_window):
-    window = open_window()
-    window.shoot("sign-in")
-    window.sign_in("kc_wrong")
-    window.page.wait_for_selector("#sign-in .wrong:not([hidden])")
-    assert "not known" in window.page.inner_text("#sign-in .wrong")
-    window.shoot("sign-in-refused")
-    window.forgive("401")
-    window.sign_in()
-    assert window.server.key not in window.page.url
-    assert window.page.evaluate("[localStorage, sessionStorage].map((s) => JSON.stringify(s))") == [
-        window.page.evaluate("JSON.stringify(localStorage)"),
-        window.page.evaluate("JSON.stringify(sessionStorage)"),
-    ]
-    assert window.server.key not in window.page.evaluate("JSON.stringify(localStorage)")
-    window.page.reload()
-    window.page.wait_for_selector("#link:has-text('Ready')")
-    window.page.click("#sign-out")
-    window.page.wait_for_selector("#sign-in[open]")
-    assert window.page.evaluate("sessionStorage.length") == 0
-
-
-def test_the_address_of_the_terminal_signs_in_and_does_not_stay(browser, server):
-    page = browser.new_page()
-    asked = []
-    page.route(
-        "**/v1/viewer/redeem",
-        lambda route: (asked.append(route.request.post_data_json), route.fulfill(json=given)),
-    )
-    given = {"key": server.key}
-    page.goto(f"{server.url}/#code=once")
-    page.wait_for_selector("#link:has-text('Ready')")
-    assert asked == [{"code": "once"}]
-    assert page.url == f"{server.url}/"
-    page.close()
-
-
-def test_while_it_loads_and_while_nobody_is_known_the_page_says_so(open_window):
-    window = open_window()
-    held = []
-    window.page.route("**/v1/users?*", lambda route: held.append(route))  # noqa: PLW0108
-    window.page.fill("#key", window.server.key)
-    window.page.keyboard.press("Enter")
-    window.page.wait_for_selector("#notice:has-text('Loading')")
-    window.shoot("loading")
-    while not held:
-        window.page.wait_for_timeout(50)
-    for route in held:
-        route.fulfill(json={"items": [], "next_cursor": None})
-    window.page.wait_for_selector("#notice:has-text('Nobody here yet')")
-    window.shoot("empty")
-    assert scan(window, "empty") == []
-
-
-def test_a_service_that_fails_is_said_and_tried_again(open_window):
-    window = open_window()
-    window.page.route("**/v1/skeletons", lambda route: route.abort())
-    window.page.fill("#key", window.server.key)
-    window.page.keyboard.press("Enter")
-    window.page.wait_for_selector("#notice:has-text('does not answer')")
-    window.shoot("error")
-    window.page.unroute("**/v1/skeletons")
-    window.page.click("#notice button:has-text('Try again')")
-    window.page.wait_for_selector("#link:has-text('Ready')")
-    window.forgive("/v1/skeletons", "Failed to load resource")
 
 
 @pytest.mark.browser
@@ -312,13 +234,13 @@ def test_a_file_that_is_no_recording_is_refused_with_its_reason(window, server, 
 
 @pytest.mark.browser
 def test_a_link_that_breaks_is_said_and_mended_by_itself(open_window, server):
-    with cut_link(httpx.URL(server.url).port) as link:
+    with open_wire(httpx.URL(server.url).port) as link:
         window = open_window(f"http://127.0.0.1:{link.port}")
         window.sign_in()
         page = window.page
         page.click("#demo button:has-text('1 person')")
         window.await_forecasts(1)
-        link.cut()
+        link.break_off()
         page.wait_for_selector("#banner:not([hidden])")
         page.wait_for_selector("#link:has-text('Reconnecting')")
         page.wait_for_timeout(700)
@@ -344,6 +266,7 @@ def test_keys_do_what_the_help_says(window):
     page.wait_for_selector("#help:not([open])", state="attached")
     page.keyboard.press("d")
     window.await_forecasts(3)
+    window.await_that("main.view.reach > 45")
     page.keyboard.press(" ")
     assert window.ask("main.view.isPaused")
     back = window.ask("main.view.back")

@@ -245,10 +245,9 @@ def test_a_recording_survives_a_cut(server, wire):
         with stream.record("cut in two") as recording:
             begin = len(robot.sent)
             robot.run_until(lambda: recording.status.stored_seq is not None)
-            wire.is_away = True
-            wire.cut()
+            wire.break_off()
             robot.run(1.0)
-            wire.is_away = False
+            wire.mend()
             moment = time.monotonic()
             robot.run_until(lambda: robot.has_news_since(moment))
             frames = len(robot.sent) - begin

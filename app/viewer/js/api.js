@@ -12,8 +12,15 @@ export class ApiError extends Error {
   }
 }
 
+/** The code of an error after `leave`: nobody waits for the answer any more. */
+export const LEFT = 'left';
+/** People that are listed at most, and by how many they are asked for. */
+const USERS = { most: 1000, page: 200 };
+
 /** The REST routes that the viewer uses. */
 export class Api {
+  #visit = new AbortController();
+
   /**
    * @param {URL} url of the service
    * @param {() => string} key
@@ -21,6 +28,12 @@ export class Api {
   constructor(url, key) {
     this.url = url;
     this.key = key;
+  }
+
+  /** End what is being asked, so that nothing of it reaches whoever signs in next. */
+  leave() {
+    this.#visit.abort();
+    this.#visit = new AbortController();
   }
 
   /**
@@ -35,16 +48,21 @@ export class Api {
     const headers = { Accept: 'application/json' };
     if (this.key()) headers.Authorization = `Bearer ${this.key()}`;
     if (body !== undefined && !isForm) headers['Content-Type'] = 'application/json';
+    const { signal } = this.#visit;
     let answer;
     try {
       answer = await fetch(new URL(path, this.url), {
-        method, headers, body: isForm ? body : JSON.stringify(body), cache: 'no-store',
+        method, headers, body: isForm ? body : JSON.stringify(body), cache: 'no-store', signal,
       });
     } catch {
-      throw new ApiError(0, 'offline', 'The service does not answer.');
+      throw signal.aborted ? goneError() : new ApiError(0, 'offline', 'The service does not answer.');
     }
-    if (!answer.ok) throw await readProblem(answer);
-    return answer.status === 204 ? null : answer.json();
+    const problem = answer.ok ? null : await readProblem(answer);
+    const content = problem || answer.status === 204 ? null : await answer.json().catch(() => undefined);
+    if (signal.aborted) throw goneError();
+    if (problem) throw problem;
+    if (content === undefined) throw new ApiError(502, 'unreadable', `The answer to ${path} is no JSON.`);
+    return content;
   }
 
   async #list(path) {
@@ -52,7 +70,18 @@ export class Api {
   }
 
   skeletons() { return this.#list('v1/skeletons'); }
-  users() { return this.#list('v1/users?limit=200'); }
+  /** Everybody, up to a number that a page can hold. */
+  async users() {
+    const users = [];
+    let query = `limit=${USERS.page}`;
+    for (;;) {
+      const { items, next_cursor: cursor } = await this.request('GET', `v1/users?${query}`);
+      users.push(...items);
+      if (!cursor || users.length >= USERS.most) return users;
+      query = `limit=${USERS.page}&cursor=${encodeURIComponent(cursor)}`;
+    }
+  }
+
   user(id) { return this.request('GET', `v1/users/${encodeURIComponent(id)}`); }
   addUser(user) { return this.request('POST', 'v1/users', user); }
   changeUser(id, change) {
@@ -112,6 +141,10 @@ export class Api {
       }
     }
   }
+}
+
+function goneError() {
+  return new ApiError(0, LEFT, 'Signed out.');
 }
 
 async function readProblem(answer) {

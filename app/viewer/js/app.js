@@ -1,4 +1,4 @@
-import { Api, ApiError } from './api.js';
+import { Api, ApiError, LEFT } from './api.js';
 import { SyntheticPerson } from './demo/person.js';
 import { Emitter } from './emitter.js';
 import { Player, readRecording } from './files/recording.js';
@@ -53,6 +53,7 @@ export class App extends Emitter {
   }
 
   signOut() {
+    this.api.leave();
     this.stopAll();
     this.#watched.forEach((watch) => watch.abort());
     this.#watched.clear();
@@ -97,6 +98,7 @@ export class App extends Emitter {
 
   #fail(error) {
     if (!(error instanceof ApiError)) throw error;
+    if (error.code === LEFT) return;
     if (error.status === 401 || error.status === 403) {
       keepKey('');
       this.#enter('signed-out', error.status === 401
@@ -126,7 +128,7 @@ export class App extends Emitter {
       await this.#readDetails();
       this.#setOnline(true);
     } catch (error) {
-      if (error.status === 0 || error.status >= 500) this.#setOnline(false);
+      if (error.code !== LEFT && (error.status === 0 || error.status >= 500)) this.#setOnline(false);
       else this.#fail(error);
     }
     this.emit('change');
@@ -202,6 +204,7 @@ export class App extends Emitter {
   }
 
   #complain(error) {
+    if (error.code === LEFT) return;
     this.toast(error.message, true);
     if (!(error instanceof ApiError)) console.warn(error);
   }
@@ -298,6 +301,7 @@ export class App extends Emitter {
   }
 
   #perform(id, source) {
+    if (this.phase !== 'ready') return; // signed out while a file was read
     const known = this.performers.get(id);
     if (known) {
       known.play(source);

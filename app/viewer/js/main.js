@@ -17,6 +17,7 @@ import { startTheme } from './theme.js';
 import { View } from './view.js';
 import { takeDrops } from './files/drop.js';
 
+const code = takeCode(); // before anything can fail: it must not stay in the address
 export const app = new App();
 export const stage = makeStage();
 export const view = new View(app, stage);
@@ -69,6 +70,5 @@ view.run(() => {
   charts.follow();
 });
 
-const code = takeCode();
 if (code) await app.redeem(code);
 else await app.load();

@@ -11,6 +11,8 @@ export const HISTORY_S = 30;
 export const DEADLINE_MS = 1000 / FPS;
 /** Frames that are sent at once after the page was held up; older ones are left out. */
 const CATCH_UP = 14;
+/** Errors after which there is no recording; others leave it waiting. */
+const ENDS_TRIAL = new Set(['unknown_trial', 'trial_conflict', 'forbidden']);
 
 /**
  * @typedef {Object} Moment one frame, and what was said from it
@@ -101,13 +103,19 @@ export class Performer extends Emitter {
 
   /** @param {boolean} finetune */
   stopTrial(finetune) {
-    this.#personal.send({ type: 'trial.stop', finetune });
-    this.recording = { ...this.recording, state: 'storing' };
-    this.emit('recording');
+    this.#endTrial({ type: 'trial.stop', finetune });
   }
 
   cancelTrial() {
-    this.#personal.send({ type: 'trial.cancel' });
+    this.#endTrial({ type: 'trial.cancel' });
+  }
+
+  /** How it ends is said now, and again where the link breaks before the service has heard it. */
+  #endTrial(ending) {
+    if (!this.recording) return;
+    this.recording = { ...this.recording, state: 'storing', ending };
+    this.#personal.send(ending);
+    this.emit('recording');
   }
 
   #send(n) {
@@ -145,7 +153,10 @@ export class Performer extends Emitter {
     stream.on('forecast', (forecast) => this.#keep(kind, forecast));
     if (kind === 'base') return stream;
     stream.on('state', () => this.emit('change'));
-    stream.on('hello', (hello) => this.#follow(hello.version));
+    stream.on('hello', (hello) => {
+      this.#resumeTrial();
+      this.#follow(hello.version);
+    });
     stream.on('version', (message) => {
       this.#follow(message.version);
       this.emit('version', message);
@@ -153,16 +164,13 @@ export class Performer extends Emitter {
     stream.on('waiting', (message) => { this.waiting = message.reason; });
     stream.on('trial', (message) => this.#hearTrial(message));
     stream.on('job', (message) => this.emit('job', message));
-    stream.on('error', (message) => this.emit('trouble', message));
+    stream.on('error', (message) => this.#hearError(message));
     return stream;
   }
 
   #follow(version) {
     this.version = version;
     this.#matchBase();
-    if (this.recording?.state === 'recording') {
-      this.#personal.send({ type: 'trial.resume', trial: this.recording.trial });
-    }
     this.emit('change');
   }
 
@@ -192,10 +200,29 @@ export class Performer extends Emitter {
     if (moment.latencyMs > DEADLINE_MS) this.misses += 1;
   }
 
+  /** On a new connection a recording goes on; one that never began is answered by an error. */
+  #resumeTrial() {
+    if (!this.recording) return;
+    this.#personal.send({ type: 'trial.resume', trial: this.recording.trial });
+    if (this.recording.ending) this.#personal.send(this.recording.ending);
+  }
+
   #hearTrial(message) {
     const ended = message.state !== 'recording';
-    this.recording = ended ? null : { ...this.recording, ...message };
+    const state = this.recording?.ending ? 'storing' : message.state;
+    this.recording = ended ? null : { ...this.recording, ...message, state };
     this.emit('recording', message);
+  }
+
+  /** Tell of an error; one that ends the recording, or keeps it from beginning, ends it here. */
+  #hearError(message) {
+    const waits = message.code === 'trial_unavailable';
+    const isRefused = this.recording?.state === 'starting' && message.seq == null && !waits;
+    if (this.recording && (isRefused || ENDS_TRIAL.has(message.code))) {
+      this.recording = null;
+      this.emit('recording');
+    }
+    this.emit('trouble', message);
   }
 }
 

@@ -43,7 +43,7 @@ export function listenToKeys({ app, view, stage, dialogs, theme }) {
     '?': () => dialogs.openHelp(),
   };
   document.addEventListener('keydown', (event) => {
-    const isTyping = event.target.closest?.('input, select, textarea, dialog');
+    const isTyping = event.target.closest?.('input, select, textarea, dialog[open]');
     if (isTyping || event.ctrlKey || event.metaKey || event.altKey || event.defaultPrevented) return;
     if (event.key === ' ' && event.target.closest?.('button, a')) return;
     if (app.phase !== 'ready' && !['t', '?'].includes(event.key)) return;

@@ -7,6 +7,10 @@ const REPLAY_S = 0.6;
 const BACK_OFF_S = { first: 0.1, most: 5 };
 /** A connection that lasted this long was a good one. */
 const SETTLED_S = 5;
+/** Frames without a word from the service, three seconds of them: the link is dead. */
+const SILENT_FRAMES = 90;
+/** Bytes that may wait in the browser; more would only make frames old. */
+const MOST_WAITING = 65_536;
 /** Close codes after which coming back makes no sense without somebody's help. */
 const FINAL = new Set([4400, 4401, 4403, 4404, 4406, 4409, 4410, 4413]);
 
@@ -27,6 +31,7 @@ export class Stream extends Emitter {
   #timer = 0;
   #fatal = '';
   #retryAfter = 0;
+  #unanswered = 0;
 
   /**
    * @param {{url: URL, key: () => string, user: string, version?: string}} options
@@ -77,7 +82,10 @@ export class Stream extends Emitter {
     const message = { type: 'frame', seq, t, joints: joints && packFloats(joints) };
     this.#recent.push(message);
     while (this.#recent[0].t < t - REPLAY_S) this.#recent.shift();
-    if (this.state === 'open') this.#write(message);
+    if (this.state !== 'open') return;
+    this.#unanswered += 1;
+    if (this.#unanswered > SILENT_FRAMES) this.#giveUp();
+    else if (!(this.#socket?.bufferedAmount > MOST_WAITING)) this.#write(message);
   }
 
   /**
@@ -101,6 +109,7 @@ export class Stream extends Emitter {
   }
 
   #hear(data) {
+    this.#unanswered = 0;
     const message = decode(data);
     if (message.type === 'hello') this.#greet(message);
     else if (message.type === 'forecast') this.emit('forecast', readForecast(message));
@@ -121,6 +130,15 @@ export class Stream extends Emitter {
   #complain(message) {
     this.#fatal = message.message;
     this.emit('error', message);
+  }
+
+  #giveUp() {
+    const socket = this.#socket;
+    socket.onmessage = null;
+    socket.onclose = null;
+    socket.close();
+    this.#fatal = 'the service is silent';
+    this.#lose(socket, 1006);
   }
 
   #lose(socket, code) {

@@ -8,6 +8,8 @@ const APART_M = 1.45;
 const HALF_SECOND = 15;
 /** How far back the newest frame with a forecast may be to be shown as now. */
 const BEHIND = 12;
+/** Several people's frames do not come at once: what comes within this time of a picture waits for the next. */
+const LEAST_MS = 25;
 
 /** What is looked at: which moment, with what, and how often it is drawn. Tells `change`. */
 export class View extends Emitter {
@@ -142,7 +144,7 @@ export class View extends Emitter {
     const draw = (time) => {
       requestAnimationFrame(draw);
       also();
-      if (!this.#isNew()) return;
+      if (!this.#isNew(time)) return;
       for (const [id, figure] of this.figures) this.#pose(id, figure);
       this.stage.draw(time - this.#last);
       this.#last = time;
@@ -154,10 +156,12 @@ export class View extends Emitter {
   /** Draw once more, although nobody moved. */
   touch() { this.#shown = ''; }
 
-  #isNew() {
+  #isNew(time) {
+    const hasMoved = this.stage.hasMoved();
+    if (!hasMoved && time - this.#last < LEAST_MS) return false;
     const seen = [...this.figures.keys()].map((id) => this.momentOf(id)?.seq ?? -1);
     const mark = `${seen}|${JSON.stringify(this.show)}|${this.app.selected}|${this.back}`;
-    const isNew = mark !== this.#shown || this.stage.hasMoved();
+    const isNew = mark !== this.#shown || hasMoved;
     this.#shown = mark;
     return isNew;
   }

@@ -16,6 +16,7 @@ const { Player, readRecording } = await load('files/recording.js');
 const { SyntheticPerson } = await load('demo/person.js');
 const { Performer } = await load('performer.js');
 const { Stream } = await load('stream.js');
+const { Api, LEFT } = await load('api.js');
 
 const SKELETON = { name: 'two', joints: [{ name: 'head' }, { name: 'hip' }] };
 const fixture = (name) => new Uint8Array(readFileSync(new URL(name, `file://${process.env.VIEWER_FIXTURES}/`)));
@@ -134,6 +135,38 @@ test('a table is cut into clips, and an empty cell is a missing joint', () => {
   assert.throws(() => readCsv('head.x\n1\n', 'a.csv', SKELETON), /head\.y/);
   assert.throws(() => readCsv(header, 'a.csv', SKELETON), /no frames/);
   assert.throws(() => readCsv(`${header}0,a,x,2,3,4,5,6\n`, 'a.csv', SKELETON), /"x" is no number/);
+  for (const row of ['0,"wave,1,2,3,4,5,6\n0,b,1,2,3,4,5,6', '0,wa"ve,1,2,3,4,5,6']) {
+    assert.throws(() => readCsv(`${header}0,a,1,2,3,4,5,6\n${row}\n`, 'a.csv', SKELETON), /a quote in row 3/);
+  }
+});
+
+test('what was asked before signing out reaches nobody', async (t) => {
+  const open = [];
+  const answer = (body) => ({ ok: true, status: 200, json: async () => body });
+  t.mock.method(globalThis, 'fetch', (url, { signal }) => new Promise((resolve, reject) => {
+    open.push(resolve);
+    signal.addEventListener('abort', () => reject(signal.reason));
+  }));
+  const api = new Api(new URL('http://x/'), () => 'key');
+  const asked = api.skeletons();
+  api.leave();
+  await assert.rejects(asked, { code: LEFT });
+  const next = api.skeletons();
+  open[1](answer({ items: [1] }));
+  assert.deepEqual(await next, [1]);
+  const unreadable = api.skeletons();
+  open[2]({ ok: true, status: 200, json: async () => JSON.parse('<html>') });
+  await assert.rejects(unreadable, { code: 'unreadable' });
+});
+
+test('everybody is listed, page by page', async (t) => {
+  const pages = { '': ['a', 'n/x'], 'n/x': ['b', null] };
+  t.mock.method(globalThis, 'fetch', async (url) => {
+    const [id, cursor] = pages[url.searchParams.get('cursor') ?? ''];
+    return { ok: true, status: 200, json: async () => ({ items: [{ id }], next_cursor: cursor }) };
+  });
+  const api = new Api(new URL('http://x/'), () => 'key');
+  assert.deepEqual((await api.users()).map((user) => user.id), ['a', 'b']);
 });
 
 test('recordings of any rate are played at 30 Hz, with nobody between clips', () => {
@@ -221,6 +254,83 @@ test('a service that greets and hangs up is asked less and less often', (t) => {
   }
   assert.equal(waits.length, 8);
   assert.ok(waits[0] <= 100 && waits[7] >= 2500, String(waits));
+});
+
+test('a recording survives a link that breaks, and ends where it is refused', (t) => {
+  const { performer } = perform(t, { frame: () => ({ joints: null, action: null }) });
+  const sockets = [];
+  class Socket {
+    static OPEN = 1;
+    readyState = 1;
+    said = [];
+    constructor() { sockets.push(this); }
+    send(bytes) { this.said.push(decode(bytes)); }
+    close() {}
+  }
+  const known = globalThis.WebSocket;
+  globalThis.WebSocket = Socket;
+  t.after(() => { globalThis.WebSocket = known; });
+  t.mock.method(globalThis, 'setTimeout', (again) => again());
+  const hear = (message) => sockets.at(-1).onmessage({ data: encode(message).buffer });
+  const said = () => sockets.at(-1).said.map((message) => message.type).filter((type) => type.startsWith('trial'));
+
+  performer.start();
+  hear({ type: 'hello', version: null });
+  performer.startTrial('one');
+  assert.equal(performer.recording.state, 'starting');
+  hear({ type: 'error', code: 'invalid_request', message: 'no' });
+  assert.equal(performer.recording, null);
+
+  performer.startTrial('two');
+  hear({ type: 'trial', trial: performer.recording.trial, state: 'recording' });
+  performer.stopTrial(true);
+  assert.equal(performer.recording.state, 'storing');
+  sockets.at(-1).onclose({ code: 1006 });
+  hear({ type: 'hello', version: null });
+  assert.deepEqual(said(), ['trial.resume', 'trial.stop']);
+  hear({ type: 'trial', trial: performer.recording.trial, state: 'recording' });
+  assert.equal(performer.recording.state, 'storing');
+  hear({ type: 'error', code: 'trial_unavailable', message: 'wait' });
+  assert.notEqual(performer.recording, null);
+  hear({ type: 'trial', trial: performer.recording.trial, state: 'stored' });
+  assert.equal(performer.recording, null);
+
+  performer.startTrial('three');
+  sockets.at(-1).onclose({ code: 1006 });
+  hear({ type: 'hello', version: null });
+  hear({ type: 'error', code: 'unknown_trial', message: 'never began' });
+  assert.equal(performer.recording, null);
+});
+
+test('a link on which nothing comes back is given up', (t) => {
+  const sockets = [];
+  class Socket {
+    static OPEN = 1;
+    readyState = 1;
+    sent = 0;
+    closed = false;
+    constructor() { sockets.push(this); }
+    send() { this.sent += 1; }
+    close() { this.closed = true; }
+  }
+  const known = globalThis.WebSocket;
+  globalThis.WebSocket = Socket;
+  t.after(() => { globalThis.WebSocket = known; });
+  t.mock.method(globalThis, 'setTimeout', () => 0);
+  const stream = new Stream({ url: new URL('http://x/'), key: () => '', user: 'a' });
+  stream.open();
+  const hear = (message) => sockets[0].onmessage({ data: encode(message).buffer });
+  hear({ type: 'hello' });
+  for (let seq = 0; seq < 80; seq++) stream.frame(seq, seq / 30, null);
+  hear({ type: 'waiting', reason: 'warm_up' });
+  sockets[0].bufferedAmount = 1e6;
+  stream.frame(80, 80 / 30, null);
+  assert.equal(sockets[0].sent, 80); // what cannot leave is not piled up
+  for (let seq = 81; seq < 170; seq++) stream.frame(seq, seq / 30, null);
+  assert.equal(stream.state, 'open');
+  stream.frame(170, 170 / 30, null);
+  assert.equal(stream.state, 'waiting');
+  assert.ok(sockets[0].closed);
 });
 
 /** A zip of arrays that are stored as they are, as far as the reader looks. */

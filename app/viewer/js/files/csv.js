@@ -10,7 +10,7 @@ const FPS = 30;
  * @throws {Error} it is no such file
  */
 export function readCsv(text, name, skeleton) {
-  const [header, ...rows] = parseRows(text.replace(/^\ufeff/, ''));
+  const [header, ...rows] = parseRows(text.replace(/^\ufeff/, ''), name);
   if (!header || !rows.length) throw new Error(`${name}: it has no frames.`);
   const place = new Map(header.map((column, i) => [column, i]));
   const columns = skeleton.joints.flatMap((joint) => ['x', 'y', 'z'].map((axis) => `${joint.name}.${axis}`));
@@ -49,10 +49,12 @@ function readNumber(cell, name) {
 }
 
 /** Rows of cells; a cell in quotes may hold commas, line breaks and doubled quotes. */
-function parseRows(text) {
+function parseRows(text, name) {
   const rows = [[]];
   const pattern = /(?:"((?:[^"]|"")*)"|([^",\r\n]*))(,|\r?\n|$)/gy;
-  for (let found = pattern.exec(text); found; found = pattern.exec(text)) {
+  for (;;) {
+    const found = pattern.exec(text);
+    if (!found) throw new Error(`${name}: a quote in row ${rows.length} is never closed, or stands in the middle of a cell.`);
     rows.at(-1).push(found[1] !== undefined ? found[1].replaceAll('""', '"') : found[2]);
     if (pattern.lastIndex >= text.length && found[3] !== ',') break;
     if (found[3] !== ',') rows.push([]);

@@ -44,7 +44,7 @@ function chooseNotice(app, dialogs) {
   if (app.phase === 'signed-out') return [h('h2', {}, 'Half a second ahead'), h('p', {}, 'Sign in with a key to see people and their forecasts.')];
   if (app.phase === 'loading') return [h('h2', {}, 'Loading'), h('p', {}, 'Asking the service who is known.')];
   if (app.phase === 'failed') return [
-    h('h2', {}, 'The service does not answer'), h('p', {}, app.problem),
+    h('h2', {}, 'The service does not answer'), h('p', {}, `It is asked again every few seconds. (${app.problem})`),
     h('button', { class: 'button primary', type: 'button', onclick: () => app.load() }, 'Try again'),
   ];
   if (app.performers.size) return null;

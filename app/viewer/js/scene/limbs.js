@@ -1,7 +1,7 @@
 import * as THREE from 'three';
 
 /** Sides of a bone, and rings and sides of a joint, by how closely they are looked at. */
-const DETAIL = { fine: [8, 6, 9], coarse: [4, 2, 4], round: [9, 6, 9] };
+const DETAIL = { fine: [7, 5, 8], coarse: [4, 2, 4], round: [7, 4, 7] };
 
 /**
  * Poses of one skeleton as round bones and joints, in one call to the card.

@@ -10,7 +10,9 @@ const VIEWS = {
   top: [0.0, 1, -0.02],
 };
 const LOOK_AT = new THREE.Vector3(0, 0.88, 0);
-const SLOW_MS = 50;
+/** Between pictures of people who move at 30 Hz; a longer gap than the second is rest. */
+const SLOW_MS = 37;
+const REST_MS = 250;
 const STEP = 0.08;
 
 /** Whether pictures are made by the processor, for which smooth edges cost too much. */
@@ -103,7 +105,8 @@ export class Stage {
 
   /** Draw fewer pixels where the machine cannot keep up, rather than fewer frames. */
   #adapt(spentMs) {
-    this.slow = 0.95 * this.slow + 0.05 * Math.min(spentMs, 200);
+    if (spentMs > REST_MS) return;
+    this.slow = 0.95 * this.slow + 0.05 * spentMs;
     if (this.slow > SLOW_MS && this.ratio > 0.81) {
       this.ratio = Math.max(0.8, this.ratio * 0.82);
       this.slow = 25;
