@@ -17,12 +17,14 @@ OPEN = needs(None)
 PING_TIMEOUT_S = 2.0
 
 
+@router.head("/healthz", include_in_schema=False)
 @router.get("/healthz", summary="Is the process alive?", openapi_extra=OPEN)
 async def check_alive() -> HealthOut:
     """Answer as soon as the process can; touches nothing else, so an outage stays one outage."""
     return HealthOut(status="alive")
 
 
+@router.head("/readyz", include_in_schema=False)
 @router.get(
     "/readyz",
     summary="Can it forecast now?",

@@ -41,19 +41,19 @@ class Asset(NamedTuple):
     headers: dict[str, str]
 
 
-@router.get("/")
+@router.api_route("/", methods=["GET", "HEAD"])
 async def show_viewer(request: Request) -> Response:
     """Show the viewer; it asks for a key by itself."""
     return _answer(request, "index.html")
 
 
-@router.get("/viewer/{path:path}")
+@router.api_route("/viewer/{path:path}", methods=["GET", "HEAD"])
 async def show_asset(path: str, request: Request) -> Response:
     """Give a file of the viewer."""
     return _answer(request, path)
 
 
-@router.get("/docs", response_class=HTMLResponse)
+@router.api_route("/docs", methods=["GET", "HEAD"], response_class=HTMLResponse)
 async def show_reference(request: Request) -> HTMLResponse:
     """List every route with the scope that it needs."""
     document: dict[str, Any] = request.app.openapi()

@@ -32,6 +32,14 @@ async def test_every_file_is_served_as_what_it_is(tmp_path):
 
 
 @pytest.mark.asyncio
+async def test_a_monitor_may_ask_for_the_head_alone(tmp_path):
+    async with run_service(make_settings(tmp_path)) as service:
+        for path in ("/", "/viewer/js/main.js", "/docs", "/healthz", "/readyz"):
+            answer = await service.call("HEAD", path, key=None)
+            assert answer.status_code == 200, path
+
+
+@pytest.mark.asyncio
 async def test_a_file_that_one_has_is_not_sent_again(tmp_path):
     async with run_service(make_settings(tmp_path)) as service:
         first = await service.call("GET", "/viewer/js/main.js", key=None)

@@ -14,6 +14,8 @@ from kinecast_client.forecasts import Forecast, Severity, Timing, Version
 
 Answer = TypeVar("Answer")
 _DTYPES = frozenset({"<f4", "<f8"})
+LARGEST_ANSWER = 64 * 2**20
+"""Bytes, unpacked; no answer of a service comes near it, so what is longer is none."""
 
 
 class _Array(msgspec.Struct):
@@ -32,6 +34,27 @@ class _SingleForecast(msgspec.Struct):
     severity: str
     filled: tuple[str, ...]
     timing: Timing
+
+
+class Content:
+    """The body of an answer, as it comes in."""
+
+    def __init__(self) -> None:
+        self._parts = bytearray()
+
+    def add(self, part: bytes) -> None:
+        """Take the next part.
+
+        Raises:
+            AnswerError: it is more than a program should have to hold.
+        """
+        self._parts += part
+        if len(self._parts) > LARGEST_ANSWER:
+            raise AnswerError(f"The answer is longer than {LARGEST_ANSWER >> 20} MiB.")
+
+    def __bytes__(self) -> bytes:
+        """All of it."""
+        return bytes(self._parts)
 
 
 def read_answer(

@@ -11,7 +11,7 @@ import httpx
 
 from kinecast_client import calls
 from kinecast_client.address import is_loopback, read_url
-from kinecast_client.answers import read_answer
+from kinecast_client.answers import Content, read_answer
 from kinecast_client.async_resources import AsyncJobs, AsyncTrials, AsyncUsers, AsyncVersions
 from kinecast_client.async_stream import AsyncStream, OnEventAsync, OnForecastAsync
 from kinecast_client.calls import Call
@@ -188,10 +188,15 @@ class AsyncClient:
         self, call: Call[Answer], timeout_s: float
     ) -> tuple[int, httpx.Headers, bytes]:
         try:
-            asked = self._http.request(**call.to_httpx(), timeout=None)
-            answer = await asyncio.wait_for(asked, timeout_s)
+            return await asyncio.wait_for(self._ask(call), timeout_s)
         except asyncio.TimeoutError:
             raise DeadlineError(f"{self.url} did not answer within {timeout_s:g} s.") from None
         except httpx.RequestError as error:
             raise UnreachableError(f"Nobody answers at {self.url}: {error}.") from error
-        return answer.status_code, answer.headers, answer.content
+
+    async def _ask(self, call: Call[Answer]) -> tuple[int, httpx.Headers, bytes]:
+        content = Content()
+        async with self._http.stream(**call.to_httpx(), timeout=None) as response:
+            async for part in response.aiter_bytes():
+                content.add(part)
+        return response.status_code, response.headers, bytes(content)

@@ -12,7 +12,7 @@ import httpx
 
 from kinecast_client import calls
 from kinecast_client.address import is_loopback, read_url
-from kinecast_client.answers import read_answer
+from kinecast_client.answers import Content, read_answer
 from kinecast_client.calls import Call
 from kinecast_client.checks import check_key, check_settings, check_stream
 from kinecast_client.errors import DeadlineError, UnreachableError
@@ -203,9 +203,9 @@ class Client:
         deadline = time.monotonic() + timeout_s
         try:
             with self._http.stream(**call.to_httpx(), timeout=timeout_s) as response:
-                content = bytearray()
+                content = Content()
                 for part in response.iter_bytes():  # an answer may trickle in
-                    content += part
+                    content.add(part)
                     if time.monotonic() > deadline:
                         raise httpx.ReadTimeout("the answer is too slow")
         except httpx.TimeoutException:

@@ -69,7 +69,7 @@ def name_body(user: str) -> str:
     if re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", user):
         return user
     plain = re.sub(r"[^A-Za-z0-9_]", "_", user)
-    return f"b_{plain}_{hashlib.sha256(user.encode()).hexdigest()[:4]}"
+    return f"b_{plain}_{hashlib.sha256(user.encode()).hexdigest()[:8]}"
 
 
 def topic(body: str, name: str) -> str:
