@@ -1,10 +1,10 @@
 """What a candidate is examined on: clips divided into what is learnt and what is left out.
 
-Motion *like* that recorded: whole trials left out where there are several; another repetition of
-the same action where there is one; else the later part of a clip of which the earlier part was
-learnt, so far apart that they share no frame. Motion *unlike* it: whole clips left out, with all
-clips of the same action; where fewer than five actions are told apart, single clips, which may
-resemble what is learnt.
+Motion *like* that recorded: whole trials left out where there are several, and something can be
+learnt from the rest; another repetition of the same action where there is one; else the later part
+of a clip of which the earlier part was learnt, so far apart that they share no frame. Motion
+*unlike* it: whole clips left out, with all clips of the same action; where fewer than five actions
+are told apart, single clips, which may resemble what is learnt.
 """
 
 from collections.abc import Sequence
@@ -59,20 +59,27 @@ def make_folds(blocks: Sequence[Clip]) -> list[Fold]:
     if len(blocks) < MIN_BLOCKS:
         return []
     trials = list(dict.fromkeys(block.trial for block in blocks))
-    if len(trials) == 1:
+    whole = _leave_trials_out(blocks, trials)
+    if sum(len(fold.like) for fold in whole) < MIN_BLOCKS:
         groups = _group(blocks)
         return [_divide(groups, turn) for turn in (0, 2)]
-    return [*_leave_trials_out(blocks, trials), _leave_motions_out(blocks, trials[-1])]
+    return [*whole, _leave_motions_out(blocks, trials[-1])]
 
 
 def _leave_trials_out(blocks: Sequence[Clip], trials: list[str]) -> list[Fold]:
-    """Leave out the newest trial, and the older ones in groups."""
+    """Leave out the newest trial, and the older ones in groups.
+
+    Not where next to nothing stays to be learnt from: a good trial after a short take of two
+    seconds would seem to teach nothing.
+    """
     older, count = trials[:-1], TRIAL_FOLDS - 1
     groups = [[trials[-1]], *(older[i::count] for i in range(count))]
     folds = []
     for group in filter(None, groups):
         learn = tuple(block for block in blocks if block.trial not in group)
         left = tuple(block for block in blocks if block.trial in group)
+        if len(learn) < min(MIN_BLOCKS, len(left)):
+            continue
         folds.append(Fold(learn, like=left, trial=", ".join(group)))
     return folds
 

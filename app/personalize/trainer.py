@@ -240,6 +240,6 @@ def _measure_bones(clips: Sequence[Clip]) -> np.ndarray:
 
 def _explain_too_little(blocks: Sequence[Clip]) -> str:
     return (
-        f"{len(blocks)} stretches of motion of a second or more are too few to judge by; "
+        f"Too little to judge by: motion of a second or more, told apart: {len(blocks)}; "
         f"record {MIN_BLOCKS} or more."
     )

@@ -3,16 +3,17 @@
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
 
 from kinecast_client.errors import AnswerError, ApiError, find_api_error
-from kinecast_client.forecasts import Forecast, Severity, Timing, Version
+from kinecast_client.forecasts import Forecast, Timing, Version, is_distance, read_severity
 
 Answer = TypeVar("Answer")
+Real = TypeVar("Real", np.float32, np.float64)
 _DTYPES = frozenset({"<f4", "<f8"})
 LARGEST_ANSWER = 64 * 2**20
 """Bytes, unpacked; no answer of a service comes near it, so what is longer is none."""
@@ -74,29 +75,46 @@ def read_answer(
         raise AnswerError(f"The answer cannot be read: {error}.") from error
 
 
-def read_single_forecast(content: bytes, *, t_observed: float, sent_at: float) -> Forecast:
+def follow(cursor: str | None, following: str | None) -> str | None:
+    """Give where a list goes on, None where it ends.
+
+    Raises:
+        AnswerError: it goes on where it was.
+    """
+    if following is not None and following == cursor:
+        raise AnswerError("The list goes round in a circle.")
+    return following
+
+
+def read_single_forecast(
+    content: bytes, *, joints: int, t_observed: float, sent_at: float
+) -> Forecast:
     """Read the answer to a forecast request that was sent at `sent_at` (monotonic, seconds).
 
     Raises:
         ValueError: it makes no sense.
     """
     answer = msgspec.msgpack.decode(content, type=_SingleForecast)
-    frames, t = _read_array(answer.frames), _read_array(answer.t)
-    if frames.ndim != 3 or frames.shape[2] != 3 or t.shape != frames.shape[:1]:
-        raise ValueError("the frames do not fit to their times")
-    if not (np.isfinite(frames).all() and np.isfinite(t).all()):
+    frames, t = _read_array(answer.frames, np.float32), _read_array(answer.t, np.float64)
+    radius = None if answer.radius is None else _read_array(answer.radius, np.float32)
+    if frames.shape != (len(t), joints, 3) or not len(t):
+        raise ValueError("the frames do not fit to their times or to the joints that were sent")
+    if not np.isfinite(frames).all():
         raise ValueError("a coordinate is not finite")
-    radius = None if answer.radius is None else _read_array(answer.radius).astype(np.float32)
-    if radius is not None and radius.shape != frames.shape[:2]:
+    if not (t[0] > t_observed and (np.diff(t) > 0).all() and np.isfinite(t).all()):
+        raise ValueError("the times are not those of what comes next")
+    if radius is not None and (radius.shape != frames.shape[:2] or not is_distance(radius)):
         raise ValueError("the radius does not fit to the frames")
+    if not 0 < answer.coverage < 1:
+        raise ValueError("the coverage is no probability")
     return Forecast(
-        frames=frames.astype(np.float32),
-        t=t.astype(np.float64),
+        frames=frames,
+        t=t,
         radius=radius,
         coverage=answer.coverage,
         version=answer.version,
         quality=answer.quality,
-        severity=cast("Severity", answer.severity),
+        severity=read_severity(answer.severity),
         filled=answer.filled,
         timing=answer.timing,
         t_observed=t_observed,
@@ -104,10 +122,11 @@ def read_single_forecast(content: bytes, *, t_observed: float, sent_at: float) -
     )
 
 
-def _read_array(array: _Array) -> npt.NDArray[Any]:
+def _read_array(array: _Array, kind: type[Real]) -> npt.NDArray[Real]:
     if array.dtype not in _DTYPES:
         raise ValueError(f"an array of {array.dtype!r}")
-    return np.frombuffer(array.data, array.dtype).reshape(array.shape)
+    with np.errstate(all="ignore"):  # what is too large becomes infinite, which is looked for
+        return np.frombuffer(array.data, array.dtype).reshape(array.shape).astype(kind)
 
 
 def _read_problem(status: int, headers: Mapping[str, str], content: bytes) -> ApiError:
@@ -117,6 +136,7 @@ def _read_problem(status: int, headers: Mapping[str, str], content: bytes) -> Ap
     if not isinstance(problem, dict):
         problem = {}
     retry_after = headers.get("retry-after", "")
+    is_seconds = retry_after.isascii() and retry_after.isdigit()
     given = problem.get("errors")
     errors = (
         [entry for entry in given if isinstance(entry, dict)] if isinstance(given, list) else []
@@ -126,5 +146,5 @@ def _read_problem(status: int, headers: Mapping[str, str], content: bytes) -> Ap
         str(problem.get("code", "http")),
         str(problem.get("detail", f"HTTP status {status}")),
         errors=tuple(errors),
-        retry_after_s=float(retry_after) if retry_after.isdigit() else None,
+        retry_after_s=float(retry_after) if is_seconds else None,
     )

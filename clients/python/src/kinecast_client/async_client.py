@@ -1,6 +1,5 @@
 """The client for programs with an event loop."""
 
-import asyncio
 import time
 import weakref
 from collections.abc import Callable, Sequence
@@ -10,17 +9,18 @@ from typing import TypeVar
 import httpx
 
 from kinecast_client import calls
-from kinecast_client.address import is_loopback, read_url
-from kinecast_client.answers import Content, read_answer
+from kinecast_client.address import read_url
+from kinecast_client.answers import read_answer
 from kinecast_client.async_resources import AsyncJobs, AsyncTrials, AsyncUsers, AsyncVersions
 from kinecast_client.async_stream import AsyncStream, OnEventAsync, OnForecastAsync
 from kinecast_client.calls import Call
 from kinecast_client.checks import check_key, check_settings, check_stream
-from kinecast_client.errors import DeadlineError, UnreachableError
+from kinecast_client.errors import UnreachableError
 from kinecast_client.forecasts import Forecast
 from kinecast_client.frames import Array
 from kinecast_client.link import Target
 from kinecast_client.messages import Form, Settings
+from kinecast_client.rest import Rest
 from kinecast_client.rules import Rules
 from kinecast_client.stream_base import StreamOptions
 
@@ -53,11 +53,7 @@ class AsyncClient:
         self.url = read_url(url)
         self._key, self._timeout_s = check_key(key), timeout_s
         self._is_closed = False
-        self._http = httpx.AsyncClient(
-            base_url=self.url,
-            headers={"Authorization": f"Bearer {key}"},
-            trust_env=not is_loopback(self.url),
-        )
+        self._rest = Rest(self.url, key)
         self._streams: weakref.WeakSet[AsyncStream] = weakref.WeakSet()
         self.users, self.trials = AsyncUsers(self._send), AsyncTrials(self._send)
         self.versions, self.jobs = AsyncVersions(self._send), AsyncJobs(self._send)
@@ -80,13 +76,13 @@ class AsyncClient:
         self._is_closed = True
         for stream in list(self._streams):
             await stream.close()
-        await self._http.aclose()
+        await self._rest.close()
 
     async def is_ready(self) -> bool:
         """Tell whether the service can forecast now."""
         try:
             call = Call("GET", "/readyz", bytes)
-            return (await self._request(call, self._timeout_s))[0] == httpx.codes.OK
+            return (await self._rest.request(call, self._timeout_s)).status == httpx.codes.OK
         except UnreachableError:
             return False
 
@@ -161,7 +157,7 @@ class AsyncClient:
         """
         if self._is_closed:
             raise RuntimeError("the client was closed")
-        check_stream(hold_s=hold_s, form=form, session=session)
+        check_stream(user, hold_s=hold_s, form=form, session=session)
         settings = check_settings(Settings(forecast_every, coverage, version, max_age_s * 1e3))
         options = StreamOptions(
             settings=settings,
@@ -181,22 +177,5 @@ class AsyncClient:
         return stream
 
     async def _send(self, call: Call[Answer], timeout_s: float | None = None) -> Answer:
-        status, headers, content = await self._request(call, timeout_s or self._timeout_s)
+        status, headers, content = await self._rest.request(call, timeout_s or self._timeout_s)
         return read_answer(status, headers, content, call.read)
-
-    async def _request(
-        self, call: Call[Answer], timeout_s: float
-    ) -> tuple[int, httpx.Headers, bytes]:
-        try:
-            return await asyncio.wait_for(self._ask(call), timeout_s)
-        except asyncio.TimeoutError:
-            raise DeadlineError(f"{self.url} did not answer within {timeout_s:g} s.") from None
-        except httpx.RequestError as error:
-            raise UnreachableError(f"Nobody answers at {self.url}: {error}.") from error
-
-    async def _ask(self, call: Call[Answer]) -> tuple[int, httpx.Headers, bytes]:
-        content = Content()
-        async with self._http.stream(**call.to_httpx(), timeout=None) as response:
-            async for part in response.aiter_bytes():
-                content.add(part)
-        return response.status_code, response.headers, bytes(content)

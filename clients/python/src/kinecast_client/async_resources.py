@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Protocol, TypeVar
 
 from kinecast_client import calls
+from kinecast_client.answers import follow
 from kinecast_client.calls import Call
 from kinecast_client.errors import DeadlineError
 from kinecast_client.forecasts import Version
@@ -211,6 +212,6 @@ async def _turn(send: Sender, ask: Callable[[str | None], Call[Page[Item]]]) -> 
         page = await send(ask(cursor))
         for item in page.items:
             yield item
-        cursor = page.next_cursor
+        cursor = follow(cursor, page.next_cursor)
         if cursor is None:
             return

@@ -79,12 +79,15 @@ def forecast(
     """Ask for one forecast."""
     body: dict[str, object] = {"version": version, "coverage": coverage}
     body |= _write_clip(Clip(frames, t, confidence))
+    joints = np.asarray(frames).shape[1]
     observed = 0.0 if t is None else float(np.asarray(t, np.float64)[-1])
     sent_at = time.monotonic()
     return Call(
         "POST",
         f"/v1/users/{_quote(user)}/forecast",
-        lambda content: read_single_forecast(content, t_observed=observed, sent_at=sent_at),
+        lambda content: read_single_forecast(
+            content, joints=joints, t_observed=observed, sent_at=sent_at
+        ),
         content=msgspec.msgpack.encode(body),
         headers={"Content-Type": MSGPACK_TYPE, "Accept": MSGPACK_TYPE},
     )

@@ -42,12 +42,14 @@ def check_settings(settings: Settings) -> Settings:
     return settings
 
 
-def check_stream(*, hold_s: float, form: str, session: str | None) -> None:
+def check_stream(user: str, *, hold_s: float, form: str, session: str | None) -> None:
     """Make sure that a stream can be opened like this.
 
     Raises:
         ValueError: naming what is wrong.
     """
+    if not user or not _is_sendable(user):
+        raise ValueError(f"{user!r} cannot be the id of a user")
     if not 0 < hold_s < math.inf:
         raise ValueError(f"hold_s must be above 0, got {hold_s!r}")
     if form not in SUBPROTOCOLS:
@@ -62,8 +64,13 @@ def check_label(label: str | None) -> str | None:
     Raises:
         ValueError: it is empty, too long, or has control characters.
     """
-    if label is not None and (not 1 <= len(label) <= LABEL_MOST or _CONTROL.search(label)):
-        raise ValueError(f"a label has 1 to {LABEL_MOST} characters, none a control character")
+    if label is None:
+        return None
+    is_short = 1 <= len(label) <= LABEL_MOST
+    if not is_short or _CONTROL.search(label) or not _is_sendable(label):
+        raise ValueError(
+            f"a label has 1 to {LABEL_MOST} characters, none a control character or half of one"
+        )
     return label
 
 
@@ -74,6 +81,15 @@ def check_trial(trial: str) -> str:
         ValueError: it is no UUID.
     """
     return str(UUID(trial))
+
+
+def _is_sendable(text: str) -> bool:
+    """Whether UTF-8 has it: odd names of files may hold what is no character."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _is_count(value: object, *, least: int) -> bool:

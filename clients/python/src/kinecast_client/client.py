@@ -1,6 +1,5 @@
 """The client for programs without an event loop."""
 
-import asyncio
 import threading
 import time
 import weakref
@@ -11,16 +10,18 @@ from typing import TypeVar
 import httpx
 
 from kinecast_client import calls
-from kinecast_client.address import is_loopback, read_url
-from kinecast_client.answers import Content, read_answer
+from kinecast_client.address import read_url
+from kinecast_client.answers import read_answer
 from kinecast_client.calls import Call
 from kinecast_client.checks import check_key, check_settings, check_stream
-from kinecast_client.errors import DeadlineError, UnreachableError
+from kinecast_client.errors import UnreachableError
 from kinecast_client.forecasts import Forecast
 from kinecast_client.frames import Array
 from kinecast_client.link import Target
 from kinecast_client.messages import Form, Settings
+from kinecast_client.own_loop import OwnLoop
 from kinecast_client.resources import Jobs, Trials, Users, Versions
+from kinecast_client.rest import Response
 from kinecast_client.rules import Rules
 from kinecast_client.stream import OnEvent, OnForecast, Stream
 from kinecast_client.stream_base import StreamOptions
@@ -34,7 +35,8 @@ class Client:
 
     Every call has a deadline and raises, beside what it says itself, `ApiError` where the service
     answers with a problem, `UnreachableError` where nobody answers, `DeadlineError` where no answer
-    comes in time, `AnswerError` where it makes no sense. It may be used from any thread.
+    comes in time, `AnswerError` where it makes no sense. It may be used from any thread. A process
+    that is forked can go on asking; its streams belong to the one that opened them.
 
     Args:
         url: of the service, such as `http://127.0.0.1:8000`.
@@ -54,12 +56,7 @@ class Client:
         self.url = read_url(url)
         self._key, self._timeout_s = check_key(key), timeout_s
         self._is_closed = False
-        self._http = httpx.Client(
-            base_url=self.url,
-            headers={"Authorization": f"Bearer {key}"},
-            trust_env=not is_loopback(self.url),
-        )
-        self._loop: _LoopThread | None = None
+        self._own: OwnLoop | None = None
         self._lock = threading.Lock()
         self._streams: weakref.WeakSet[Stream] = weakref.WeakSet()
         self.users, self.trials = Users(self._send), Trials(self._send)
@@ -83,20 +80,18 @@ class Client:
         self._is_closed = True
         for stream in list(self._streams):
             stream.close()
-        self._http.close()
         with self._lock:
-            if self._loop is not None:
-                self._loop.stop()
-            self._loop = None
+            own, self._own = self._own, None
+        if own is not None:
+            own.stop()
 
     def is_ready(self) -> bool:
         """Tell whether the service can forecast now."""
         try:
-            return (
-                self._request(Call("GET", "/readyz", bytes), self._timeout_s)[0] == httpx.codes.OK
-            )
+            status = self._request(Call("GET", "/readyz", bytes), self._timeout_s).status
         except UnreachableError:
             return False
+        return status == httpx.codes.OK
 
     def forecast(
         self,
@@ -169,7 +164,7 @@ class Client:
         """
         if self._is_closed:
             raise RuntimeError("the client was closed")
-        check_stream(hold_s=hold_s, form=form, session=session)
+        check_stream(user, hold_s=hold_s, form=form, session=session)
         settings = check_settings(Settings(forecast_every, coverage, version, max_age_s * 1e3))
         options = StreamOptions(
             settings=settings,
@@ -182,55 +177,25 @@ class Client:
         stream = Stream(
             Target(self.url, user, self._key),
             options,
-            loop=self._start_loop(),
+            loop=self._start_loop().loop,
             on_forecast=on_forecast,
             on_event=on_event,
         )
         self._streams.add(stream)
         return stream
 
-    def _start_loop(self) -> asyncio.AbstractEventLoop:
+    def _start_loop(self) -> OwnLoop:
         with self._lock:
-            if self._loop is None:
-                self._loop = _LoopThread()
-            return self._loop.loop
+            if self._is_closed:
+                raise RuntimeError("the client was closed")
+            if self._own is None or not self._own.is_alive:
+                self._own = OwnLoop(self.url, self._key)
+            return self._own
 
     def _send(self, call: Call[Answer], timeout_s: float | None = None) -> Answer:
         status, headers, content = self._request(call, timeout_s or self._timeout_s)
         return read_answer(status, headers, content, call.read)
 
-    def _request(self, call: Call[Answer], timeout_s: float) -> tuple[int, httpx.Headers, bytes]:
-        deadline = time.monotonic() + timeout_s
-        try:
-            with self._http.stream(**call.to_httpx(), timeout=timeout_s) as response:
-                content = Content()
-                for part in response.iter_bytes():  # an answer may trickle in
-                    content.add(part)
-                    if time.monotonic() > deadline:
-                        raise httpx.ReadTimeout("the answer is too slow")
-        except httpx.TimeoutException:
-            raise DeadlineError(f"{self.url} did not answer within {timeout_s:g} s.") from None
-        except httpx.RequestError as error:
-            raise UnreachableError(f"Nobody answers at {self.url}: {error}.") from error
-        return response.status_code, response.headers, bytes(content)
-
-
-class _LoopThread:
-    """An event loop on a thread of its own, for the streams of a client."""
-
-    def __init__(self) -> None:
-        self.loop = asyncio.new_event_loop()
-        self._thread = threading.Thread(target=self._run, name="kinecast-client", daemon=True)
-        self._thread.start()
-
-    def stop(self) -> None:
-        """Stop it and wait for its end."""
-        self.loop.call_soon_threadsafe(self.loop.stop)
-        self._thread.join()
-
-    def _run(self) -> None:
-        try:
-            self.loop.run_forever()
-        finally:
-            self.loop.run_until_complete(self.loop.shutdown_asyncgens())
-            self.loop.close()
+    def _request(self, call: Call[Answer], timeout_s: float) -> Response:
+        own = self._start_loop()
+        return own.ask(own.rest.request(call, timeout_s), timeout_s)

@@ -16,7 +16,7 @@ from kinecast_client.clock import Moment, ServerClock
 from kinecast_client.errors import FINAL_CLOSES, StoppedError, find_stop
 from kinecast_client.events import Connected, Disconnected, Event, Stopped
 from kinecast_client.forecasts import Forecast, Version
-from kinecast_client.frames import Array
+from kinecast_client.frames import CLOCK_RESTART_S, Array
 from kinecast_client.greeting import find_flaw, find_refusal
 from kinecast_client.incoming import Incoming, Sent
 from kinecast_client.messages import (
@@ -44,6 +44,7 @@ from kinecast_client.statistics import Statistics, Tally
 
 MAX_MESSAGE_BYTES = 4 * 2**20
 BROKEN = 1006
+SET_BACK_S = 0.005
 _CODES_KEPT = 64
 _REFUSED_SETTINGS = frozenset({"bad_configure", "unknown_version"})
 
@@ -110,6 +111,7 @@ class Core:
         self._bye: Bye | None = None
         self._fault: ServiceError | None = None
         self._was_good = False
+        self._frame_clock = -math.inf
 
     @property
     def generation(self) -> int:
@@ -132,6 +134,7 @@ class Core:
         if self.is_over:
             self.outgoing.refuse("stopped")
             return None
+        self._watch_clock(now)
         floor = self.outgoing.floor
         seq = self.outgoing.offer(joints, t, confidence, now)
         if self.outgoing.floor != floor:
@@ -239,6 +242,18 @@ class Core:
             self._incoming.ask(frame.seq, Sent(frame.t, frame.offered_at))
             self._pulse.ask(now)
         return message.data
+
+    def _watch_clock(self, now: Moment) -> None:
+        """Begin anew where the clock of the frames was set back by less than a restart.
+
+        The service would take what follows for old until it asks for the time again.
+        """
+        step_s, self._frame_clock = self._frame_clock - now.frame, now.frame
+        if SET_BACK_S < step_s <= CLOCK_RESTART_S:
+            self.outgoing.set_back()
+            self.clock.restart()
+            if self.phase is Phase.OPEN:
+                self.hang_up = "the clock of the frames was set back"
 
     def _decode(self, data: str | bytes) -> Message | Other | None:
         if len(data) <= MAX_MESSAGE_BYTES:

@@ -2,13 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 import numpy.typing as npt
 from msgspec import Struct
 
 Severity = Literal["info", "degraded", "unsafe"]
+_SEVERITIES = frozenset({"info", "degraded", "unsafe"})
 
 
 class Version(Struct, frozen=True):
@@ -103,3 +104,13 @@ class Forecast:
             return self.joints.index(name)
         except ValueError:
             raise KeyError(name) from None
+
+
+def read_severity(severity: str) -> Severity:
+    """Give a severity; one that is not known is taken for the worst."""
+    return cast("Severity", severity) if severity in _SEVERITIES else "unsafe"
+
+
+def is_distance(radius: npt.NDArray[np.float32] | None) -> bool:
+    """Whether these can be radii, where there are any."""
+    return radius is None or bool(np.isfinite(radius).all() and (radius >= 0).all())

@@ -23,10 +23,7 @@ def read_joints(joints: Array | None, count: int | None) -> npt.NDArray[np.float
     """
     if joints is None:
         return None
-    try:
-        pose = np.array(joints, dtype=np.float32)
-    except (TypeError, ValueError) as error:
-        raise FrameError(f"joints must be numbers [J, 3]: {error}.") from None
+    pose = _copy(joints, "joints must be numbers [J, 3]")
     if pose.ndim != 2 or pose.shape[1] != 3 or len(pose) != (count or len(pose)):
         wanted = f"[{count or 'J'}, 3]"
         raise FrameError(f"joints must have the shape {wanted}, got {list(pose.shape)}.")
@@ -41,10 +38,7 @@ def read_confidence(confidence: Array | None, count: int | None) -> npt.NDArray[
     """
     if confidence is None:
         return None
-    try:
-        values = np.array(confidence, dtype=np.float32)
-    except (TypeError, ValueError) as error:
-        raise FrameError(f"confidence must be numbers [J]: {error}.") from None
+    values = _copy(confidence, "confidence must be numbers [J]")
     if values.ndim != 1 or len(values) != (count or len(values)):
         raise FrameError(f"confidence must have the shape [{count or 'J'}], got {values.shape}.")
     return np.clip(np.nan_to_num(values, nan=0.0), 0.0, 1.0)
@@ -58,8 +52,25 @@ def read_time(t: object) -> float:
     """
     try:
         return float(t)  # type: ignore[arg-type]
-    except (TypeError, ValueError) as error:
+    except Exception as error:  # noqa: BLE001 - as above
         raise FrameError(f"t must be a number of seconds: {error}.") from None
+
+
+def _copy(numbers: Array, wanted: str) -> npt.NDArray[np.float32]:
+    """Copy numbers of any kind; what is too large for single precision becomes infinite.
+
+    Raises:
+        FrameError: they are no real numbers, for whatever reason their library has.
+    """
+    try:
+        given = np.asarray(numbers)
+        with np.errstate(all="ignore"):
+            real = given if np.iscomplexobj(given) else np.array(given, dtype=np.float32)
+    except Exception as error:  # noqa: BLE001 - any library's array may be handed over
+        raise FrameError(f"{wanted}: {error}.") from None
+    if np.iscomplexobj(real):
+        raise FrameError(f"{wanted}, got complex ones.")
+    return real
 
 
 def find_flaw(pose: npt.NDArray[np.float32] | None) -> str | None:

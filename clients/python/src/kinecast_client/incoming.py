@@ -1,21 +1,20 @@
 """Is a forecast one of ours? What does not fit is never handed out."""
 
+import math
 from collections import OrderedDict
 from collections.abc import Callable
-from typing import Literal, NamedTuple, cast
+from typing import Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from kinecast_client.clock import Moment
-from kinecast_client.forecasts import Forecast, Severity
+from kinecast_client.forecasts import Forecast, is_distance, read_severity
 from kinecast_client.messages import Hello, Wire, WireForecast
 from kinecast_client.rules import Rules
 from kinecast_client.statistics import Tally
 
 _REMEMBERED = 1024
 _TIME_SLACK_S = 1e-5
-_SEVERITIES = frozenset({"info", "degraded", "unsafe"})
 
 Flaw = Literal["malformed", "mismatched"]
 
@@ -123,9 +122,11 @@ class Incoming:
 def find_age(sent: Sent, now: Moment) -> float:
     """Give the age of a frame in seconds: never less than the time since it was handed over.
 
-    So a clock of the frames that is ahead of ours cannot make anything look fresh.
+    So a clock of the frames that is ahead of ours cannot make anything look fresh. Where that clock
+    gives no number, nothing is fresh.
     """
-    return max(now.frame - sent.t, now.mono - sent.offered_at)
+    age = now.frame - sent.t
+    return math.inf if math.isnan(age) else max(age, now.mono - sent.offered_at)
 
 
 def read_forecast(
@@ -156,9 +157,8 @@ def read_forecast(
     )
     if not fits:
         return "mismatched"
-    if not np.isfinite(frames).all() or not _is_distance(radius):
+    if not np.isfinite(frames).all() or not is_distance(radius):
         return "malformed"
-    severity = message.severity if message.severity in _SEVERITIES else "unsafe"
     return Forecast(
         frames=frames.reshape(horizon, joints, 3),
         t=times,
@@ -166,7 +166,7 @@ def read_forecast(
         coverage=message.coverage,
         version=message.version,
         quality=message.quality,
-        severity=cast("Severity", severity),
+        severity=read_severity(message.severity),
         filled=message.filled,
         timing=message.timing,
         t_observed=sent.t,
@@ -177,7 +177,3 @@ def read_forecast(
         server_age_ms=message.age_ms,
         _age=lambda: find_age(sent, read_now()),
     )
-
-
-def _is_distance(radius: npt.NDArray[np.float32] | None) -> bool:
-    return radius is None or bool(np.isfinite(radius).all() and (radius >= 0).all())

@@ -78,6 +78,11 @@ class Outgoing:
         self._cut()
         self.tape.mark("reset", self._next_seq - 1)
 
+    def set_back(self) -> None:
+        """Go on from an earlier time: the clock of the frames was set back."""
+        self._last_t = None
+        self._cut()
+
     def say(self, kind: str, **fields: object) -> None:
         """Send a message before all frames, on this connection only."""
         self._controls.append(self._wire.encode(kind, **fields))

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Protocol, TypeVar
 
 from kinecast_client import calls
+from kinecast_client.answers import follow
 from kinecast_client.calls import Call
 from kinecast_client.errors import DeadlineError
 from kinecast_client.forecasts import Version
@@ -209,6 +210,6 @@ def _turn(send: Sender, ask: Callable[[str | None], Call[Page[Item]]]) -> Iterat
     while True:
         page = send(ask(cursor))
         yield from page.items
-        cursor = page.next_cursor
+        cursor = follow(cursor, page.next_cursor)
         if cursor is None:
             return

@@ -194,7 +194,7 @@ class Stream(StreamBase):
             return
         try:
             callback(value)
-        except Exception:
+        except (Exception, SystemExit):  # a callback cannot end the program, only its own calls
             self._core.tally.callback_errors += 1
             log.exception("a callback failed")
 

@@ -90,7 +90,7 @@ def test_too_few_clips_are_told_so(base: bytes) -> None:
     learned = train(Lesson(base, None, tuple(record("one", clips=3))), lambda _: None, config=QUICK)
     assert learned.verdict is Verdict.TOO_LITTLE_DATA
     assert learned.blob is None
-    assert "3 stretches" in learned.message
+    assert "told apart: 3;" in learned.message
 
 
 def test_a_second_trial_meets_the_active_version_where_it_was_not_trained(base: bytes) -> None:
