@@ -1,6 +1,8 @@
 """The way in: keys, codes, and what the page says before there is anything to see."""
 
-from tests.browser.conftest import scan
+import pytest
+
+from tests.browser.conftest import add_person, call, scan
 
 
 def test_a_wrong_key_is_refused_and_a_right_one_stays_in_the_tab(open_window):
@@ -68,3 +70,40 @@ def test_a_service_that_fails_is_said_and_tried_again(open_window):
     window.page.click("#notice button:has-text('Try again')")
     window.page.wait_for_selector("#link:has-text('Ready')")
     window.forgive("/v1/skeletons", "Failed to load resource")
+
+
+@pytest.mark.browser
+def test_a_key_that_is_revoked_leaves_nothing_behind(open_window, server):
+    given = call(server, "POST", "/v1/admin/keys", json={"name": "guest", "scopes": ["admin"]})
+    guest = given.json()
+    window = open_window()
+    window.page.fill("#key", guest["key"])
+    window.page.keyboard.press("Enter")
+    window.page.wait_for_selector("#link:has-text('Ready')")
+    window.page.click("#demo button:has-text('1 person')")
+    window.await_forecasts(1)
+    window.page.click("#record")
+    window.page.wait_for_selector(".chip:has-text('recording')")
+    call(server, "DELETE", f"/v1/admin/keys/{guest['id']}")
+    window.page.wait_for_selector("#sign-in[open]")
+    window.page.wait_for_selector("#sign-in .wrong:has-text('not known')")
+    assert window.ask("[main.app.performers.size, main.app.users.length, main.app.selected]") == [
+        0,
+        0,
+        None,
+    ]
+    assert window.page.locator(".person").count() == 0
+    window.forgive("401", "WebSocket", "ERR_")
+
+
+@pytest.mark.browser
+def test_somebody_who_is_deleted_elsewhere_leaves_the_room(window, server):
+    add_person(server, "gone")
+    window.page.reload()
+    window.page.click(".person[data-user=gone]")
+    window.page.click("#play")
+    window.await_forecasts(1)
+    call(server, "DELETE", "/v1/users/gone")
+    window.page.wait_for_selector(".toast:has-text('gone is not known any more')")
+    window.await_that("main.app.performers.size === 0 && main.app.phase === 'ready'")
+    window.forgive("404", "410", "WebSocket", "ERR_")

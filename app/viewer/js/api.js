@@ -14,8 +14,11 @@ export class ApiError extends Error {
 
 /** The code of an error after `leave`: nobody waits for the answer any more. */
 export const LEFT = 'left';
-/** People that are listed at most, and by how many they are asked for. */
-const USERS = { most: 1000, page: 200 };
+/** People that are listed at most. */
+export const MOST_USERS = 1000;
+const PAGE = 200;
+/** Longest wait for an answer, and for that to an upload. */
+const PATIENCE_MS = { usual: 10_000, upload: 120_000 };
 
 /** The REST routes that the viewer uses. */
 export class Api {
@@ -29,6 +32,9 @@ export class Api {
     this.url = url;
     this.key = key;
   }
+
+  /** Aborted when whoever is signed in leaves. */
+  get visit() { return this.#visit.signal; }
 
   /** End what is being asked, so that nothing of it reaches whoever signs in next. */
   leave() {
@@ -48,18 +54,20 @@ export class Api {
     const headers = { Accept: 'application/json' };
     if (this.key()) headers.Authorization = `Bearer ${this.key()}`;
     if (body !== undefined && !isForm) headers['Content-Type'] = 'application/json';
-    const { signal } = this.#visit;
+    const { visit } = this;
+    const signal = AbortSignal.any([visit, AbortSignal.timeout(isForm ? PATIENCE_MS.upload : PATIENCE_MS.usual)]);
     let answer;
     try {
       answer = await fetch(new URL(path, this.url), {
         method, headers, body: isForm ? body : JSON.stringify(body), cache: 'no-store', signal,
       });
     } catch {
-      throw signal.aborted ? goneError() : new ApiError(0, 'offline', 'The service does not answer.');
+      throw visit.aborted ? goneError() : new ApiError(0, 'offline', 'The service does not answer.');
     }
     const problem = answer.ok ? null : await readProblem(answer);
     const content = problem || answer.status === 204 ? null : await answer.json().catch(() => undefined);
-    if (signal.aborted) throw goneError();
+    if (visit.aborted) throw goneError();
+    if (signal.aborted) throw new ApiError(0, 'offline', 'The service does not answer in time.');
     if (problem) throw problem;
     if (content === undefined) throw new ApiError(502, 'unreadable', `The answer to ${path} is no JSON.`);
     return content;
@@ -73,12 +81,12 @@ export class Api {
   /** Everybody, up to a number that a page can hold. */
   async users() {
     const users = [];
-    let query = `limit=${USERS.page}`;
+    let query = `limit=${PAGE}`;
     for (;;) {
       const { items, next_cursor: cursor } = await this.request('GET', `v1/users?${query}`);
       users.push(...items);
-      if (!cursor || users.length >= USERS.most) return users;
-      query = `limit=${USERS.page}&cursor=${encodeURIComponent(cursor)}`;
+      if (!cursor || users.length >= MOST_USERS) return users;
+      query = `limit=${PAGE}&cursor=${encodeURIComponent(cursor)}`;
     }
   }
 

@@ -1,4 +1,4 @@
-import { Api, ApiError, LEFT } from './api.js';
+import { Api, ApiError, LEFT, MOST_USERS } from './api.js';
 import { SyntheticPerson } from './demo/person.js';
 import { Emitter } from './emitter.js';
 import { Player, readRecording } from './files/recording.js';
@@ -6,11 +6,15 @@ import { keepKey, readKey } from './key.js';
 import { Performer } from './performer.js';
 
 const DEMO = [['demo-ada', 'Ada (synthetic)'], ['demo-ben', 'Ben (synthetic)'], ['demo-cleo', 'Cleo (synthetic)']];
+/** Of synthetic people. */
+const SKELETON = 'kinect_v1';
 const TICK_MS = 8;
 const REFRESH_MS = 5000;
 /** Each holds a connection, of which a browser has six for everything. */
 const WATCHED_MOST = 3;
 const OPEN_STATES = new Set(['queued', 'running']);
+/** What goes wrong with every frame is said this often. */
+const REPEAT_MS = 8000;
 
 /**
  * What the page knows and does. Panels listen to `change` (anything), `toast` ({text, bad}) and
@@ -19,6 +23,8 @@ const OPEN_STATES = new Set(['queued', 'running']);
 export class App extends Emitter {
   #watched = new Map();
   #files = new Map();
+  #said = new Map();
+  #isRefreshing = false;
 
   constructor() {
     super();
@@ -52,14 +58,14 @@ export class App extends Emitter {
     await this.load();
   }
 
-  signOut() {
+  signOut(problem = '') {
     this.api.leave();
     this.stopAll();
     this.#watched.forEach((watch) => watch.abort());
     this.#watched.clear();
     keepKey('');
-    Object.assign(this, { users: [], selected: null, details: null });
-    this.#enter('signed-out');
+    Object.assign(this, { users: [], selected: null, details: null, training: new Set() });
+    this.#enter('signed-out', problem);
   }
 
   /** Exchange the one-time code of the terminal for a key. */
@@ -100,8 +106,7 @@ export class App extends Emitter {
     if (!(error instanceof ApiError)) throw error;
     if (error.code === LEFT) return;
     if (error.status === 401 || error.status === 403) {
-      keepKey('');
-      this.#enter('signed-out', error.status === 401
+      this.signOut(error.status === 401
         ? 'This key is not known, or it was revoked.'
         : 'The viewer needs a key with the scope admin: it lists people and changes versions.');
     } else {
@@ -122,21 +127,32 @@ export class App extends Emitter {
   /** Look again; where nobody answers, say so and go on trying. */
   async refresh() {
     if (this.phase === 'failed') return this.load();
-    if (this.phase !== 'ready') return undefined;
+    if (this.phase !== 'ready' || this.#isRefreshing) return undefined;
+    this.#isRefreshing = true;
     try {
       await this.#readUsers();
+      this.#forgetGone();
       await this.#readDetails();
-      this.#setOnline(true);
+      this.isOnline = true;
     } catch (error) {
-      if (error.code !== LEFT && (error.status === 0 || error.status >= 500)) this.#setOnline(false);
-      else this.#fail(error);
+      if ([401, 403].includes(error.status) || !(error instanceof ApiError)) this.#fail(error);
+      else if (error.code !== LEFT && error.status !== 404) this.isOnline = false;
+    } finally {
+      this.#isRefreshing = false;
     }
     this.emit('change');
     return undefined;
   }
 
-  #setOnline(isOnline) {
-    this.isOnline = isOnline;
+  /** Somebody who was deleted elsewhere leaves the room. */
+  #forgetGone() {
+    if (this.users.length >= MOST_USERS) return; // who is not listed may be known all the same
+    const known = new Set(this.users.map((user) => user.id));
+    for (const id of [...this.performers.keys()]) if (!known.has(id)) this.stop(id);
+    if (this.selected && !known.has(this.selected)) {
+      this.toast(`${this.selected} is not known any more.`, true);
+      Object.assign(this, { selected: this.users[0]?.id ?? null, details: null });
+    }
   }
 
   /** @param {string | null} id */
@@ -245,7 +261,9 @@ export class App extends Emitter {
 
   record() {
     const when = new Date().toLocaleTimeString([], { hour: '2-digit', minute: '2-digit' });
-    this.performer?.startTrial(`Viewer ${when}`);
+    if (this.performer?.startTrial(`Viewer ${when}`) === false) {
+      this.toast('Nothing is recorded: the stream is not open.', true);
+    }
   }
 
   /** @param {boolean} finetune */
@@ -266,7 +284,9 @@ export class App extends Emitter {
     await this.#act('demo', async () => {
       const names = DEMO.slice(0, count);
       for (const [id, name] of names) {
-        if (!this.users.some((user) => user.id === id)) await this.api.addUser({ id, display_name: name });
+        const known = this.users.find((user) => user.id === id);
+        if (known && known.skeleton !== SKELETON) throw new ApiError(0, 'skeleton', `Synthetic people have the skeleton ${SKELETON}, ${id} has ${known.skeleton}.`);
+        if (!known) await this.api.addUser({ id, display_name: name });
       }
       await this.#readUsers();
       this.stopAll();
@@ -277,8 +297,8 @@ export class App extends Emitter {
 
   /** Let a synthetic person move as the selected one. */
   playSynthetic() {
-    if (this.user.skeleton !== 'kinect_v1') {
-      this.toast(`Synthetic people have the skeleton kinect_v1, ${this.user.id} has ${this.user.skeleton}.`, true);
+    if (this.user.skeleton !== SKELETON) {
+      this.toast(`Synthetic people have the skeleton ${SKELETON}, ${this.user.id} has ${this.user.skeleton}.`, true);
       return;
     }
     const demo = DEMO.findIndex(([id]) => id === this.selected) + 1;
@@ -291,17 +311,20 @@ export class App extends Emitter {
   playFile(file) {
     return this.#act('file', async () => {
       if (!this.selected) await this.addUser({ id: 'recording', display_name: 'From a recording' });
-      const skeleton = this.skeletons.find((one) => one.name === this.user.skeleton);
+      const { user } = this;
+      if (!user) throw new ApiError(0, 'nobody', 'Select the person of the recording first.');
+      const { visit } = this.api;
+      const skeleton = this.skeletons.find((one) => one.name === user.skeleton);
       const clips = await readRecording(file, skeleton);
-      this.#files.set(this.selected, file);
-      this.#perform(this.selected, new Player(file.name, clips, skeleton.name));
+      if (visit.aborted || !this.users.some((one) => one.id === user.id)) return;
+      this.#files.set(user.id, file);
+      this.#perform(user.id, new Player(file.name, clips, skeleton.name));
       const seconds = clips.reduce((sum, clip) => sum + clip.frames.length / clip.rateHz, 0);
       this.toast(`${file.name}: ${clips.length} ${clips.length === 1 ? 'clip' : 'clips'}, ${seconds.toFixed(1)} s.`);
     });
   }
 
   #perform(id, source) {
-    if (this.phase !== 'ready') return; // signed out while a file was read
     const known = this.performers.get(id);
     if (known) {
       known.play(source);
@@ -331,7 +354,10 @@ export class App extends Emitter {
 
   /** Late frames show in the strip of latencies; other errors are said. */
   #hearTrouble({ code, message }) {
-    if (code !== 'stale_frame') this.toast(message, true);
+    const isNew = performance.now() - (this.#said.get(code) ?? -Infinity) > REPEAT_MS;
+    if (code === 'stale_frame' || !isNew) return;
+    this.#said.set(code, performance.now());
+    this.toast(message, true);
   }
 
   stop(id = this.selected) {

@@ -92,13 +92,17 @@ export class Performer extends Emitter {
     while (this.#sent < due) this.#send(this.#sent++);
   }
 
-  /** @param {string} label */
+  /**
+   * Record what is streamed from now on; false where there is no connection.
+   * @param {string} label
+   */
   startTrial(label) {
     const trial = crypto.randomUUID?.() ?? makeUuid();
+    if (this.recording || !this.#personal.send({ type: 'trial.start', trial, label })) return false;
     this.recording = { trial, state: 'starting', since: now(), frames: 0 };
     this.#action = null;
-    this.#personal.send({ type: 'trial.start', trial, label });
     this.emit('recording');
+    return true;
   }
 
   /** @param {boolean} finetune */
@@ -143,8 +147,7 @@ export class Performer extends Emitter {
   #nameClip(action) {
     this.recording.frames += 1;
     if (!action || action === this.#action) return;
-    this.#action = action;
-    this.#personal.send({ type: 'clip.start', action });
+    if (this.#personal.send({ type: 'clip.start', action })) this.#action = action;
   }
 
   #connect(version, kind) {
@@ -152,7 +155,10 @@ export class Performer extends Emitter {
     const stream = new Stream({ url, key, user: this.user.id, version });
     stream.on('forecast', (forecast) => this.#keep(kind, forecast));
     if (kind === 'base') return stream;
-    stream.on('state', () => this.emit('change'));
+    stream.on('state', ({ state }) => {
+      if (state === 'closed') this.#dropTrial();
+      this.emit('change');
+    });
     stream.on('hello', (hello) => {
       this.#resumeTrial();
       this.#follow(hello.version);
@@ -200,9 +206,17 @@ export class Performer extends Emitter {
     if (moment.latencyMs > DEADLINE_MS) this.misses += 1;
   }
 
-  /** On a new connection a recording goes on; one that never began is answered by an error. */
+  /** The stream has ended for good; the service stores what it has of the recording by itself. */
+  #dropTrial() {
+    if (!this.recording) return;
+    this.recording = null;
+    this.emit('recording');
+  }
+
+  /** On a new connection a recording goes on, in a clip of its own; one that never began is answered by an error. */
   #resumeTrial() {
     if (!this.recording) return;
+    this.#action = null;
     this.#personal.send({ type: 'trial.resume', trial: this.recording.trial });
     if (this.recording.ending) this.#personal.send(this.recording.ending);
   }

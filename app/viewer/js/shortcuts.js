@@ -55,7 +55,7 @@ export function listenToKeys({ app, view, stage, dialogs, theme }) {
 }
 
 export function toggleRecording(app) {
-  if (!app.performer) return;
+  if (!app.performer || app.performer.recording?.state === 'storing') return;
   if (app.performer.recording) app.stopRecording(true);
   else app.record();
 }

@@ -49,7 +49,8 @@ export class View extends Emitter {
   momentOf(id, before = 0) {
     if (this.#frozen) {
       const moments = this.#frozen.get(id) ?? [];
-      return moments[moments.length - 1 - Math.round(this.back) - before];
+      const back = Math.min(Math.round(this.back), moments.length - 1); // others may have fewer
+      return moments[moments.length - 1 - back - before];
     }
     const history = this.app.performers.get(id)?.history;
     return history?.get(this.#findNow(history) - before);
@@ -92,7 +93,7 @@ export class View extends Emitter {
 
   /** How many frames there are to go back. */
   get reach() {
-    return Math.min(HISTORY_S * FPS, this.momentsOf(this.app.selected).length) - 1;
+    return Math.max(0, Math.min(HISTORY_S * FPS, this.momentsOf(this.app.selected).length) - 1);
   }
 
   /** @param {string} name */

@@ -296,10 +296,54 @@ test('a recording survives a link that breaks, and ends where it is refused', (t
   assert.equal(performer.recording, null);
 
   performer.startTrial('three');
+  assert.equal(performer.startTrial('twice'), false);
   sockets.at(-1).onclose({ code: 1006 });
   hear({ type: 'hello', version: null });
   hear({ type: 'error', code: 'unknown_trial', message: 'never began' });
   assert.equal(performer.recording, null);
+
+  performer.startTrial('four');
+  sockets.at(-1).onclose({ code: 4401 });
+  assert.equal(performer.recording, null);
+  assert.equal(performer.startTrial('on a stream that has ended'), false);
+});
+
+test('what is done names its clip, also after a link that broke', (t) => {
+  const pose = new Float32Array(3);
+  let action = 'one';
+  const { performer, wait } = perform(t, { frame: () => ({ joints: pose, action }) });
+  const sockets = [];
+  class Socket {
+    static OPEN = 1;
+    readyState = 1;
+    said = [];
+    constructor() { sockets.push(this); }
+    send(bytes) { this.said.push(decode(bytes)); }
+    close() {}
+  }
+  const known = globalThis.WebSocket;
+  globalThis.WebSocket = Socket;
+  t.after(() => { globalThis.WebSocket = known; });
+  const retries = [];
+  t.mock.method(globalThis, 'setTimeout', (again) => retries.push(again));
+  const hear = (message) => sockets.at(-1).onmessage({ data: encode(message).buffer });
+  const clips = () => sockets.at(-1).said.filter((one) => one.type === 'clip.start').map((one) => one.action);
+
+  performer.start();
+  hear({ type: 'hello', version: null });
+  performer.startTrial('cut');
+  const trial = { type: 'trial', trial: performer.recording.trial, state: 'recording' };
+  hear(trial);
+  wait(40);
+  assert.deepEqual(clips(), ['one']);
+  sockets.at(-1).onclose({ code: 1006 });
+  action = 'two';
+  wait(40); // while nobody hears it
+  retries.at(-1)();
+  hear({ type: 'hello', version: null });
+  hear(trial);
+  wait(40);
+  assert.deepEqual(clips(), ['two']);
 });
 
 test('a link on which nothing comes back is given up', (t) => {

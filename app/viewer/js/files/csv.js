@@ -51,7 +51,7 @@ function readNumber(cell, name) {
 /** Rows of cells; a cell in quotes may hold commas, line breaks and doubled quotes. */
 function parseRows(text, name) {
   const rows = [[]];
-  const pattern = /(?:"((?:[^"]|"")*)"|([^",\r\n]*))(,|\r?\n|$)/gy;
+  const pattern = /(?:"((?:[^"]|"")*)"|([^",\r\n]*))(,|\r\n?|\n|$)/gy;
   for (;;) {
     const found = pattern.exec(text);
     if (!found) throw new Error(`${name}: a quote in row ${rows.length} is never closed, or stands in the middle of a cell.`);

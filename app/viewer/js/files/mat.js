@@ -37,7 +37,7 @@ async function findSkeleton({ type, body }) {
   const inner = type === COMPRESSED
     ? elementsOf(await inflate(body, 'deflate'), 0)[0]
     : { type, body };
-  if (inner.type !== MATRIX) return null;
+  if (inner?.type !== MATRIX) return null;
   const [, dimensions, label, data] = elementsOf(inner.body, 0);
   if (!data || new TextDecoder().decode(label.body) !== 'd_skel') return null;
   const shape = readNumbers(dimensions);

@@ -4,6 +4,8 @@ import { readNpz } from './npz.js';
 
 /** Largest file that is read here; the service has a limit of its own for uploads. */
 const MOST_BYTES = 64 * 1024 * 1024;
+const LEAST_HZ = 1;
+const MOST_HZ = 1000;
 const FPS = 30;
 const BREATH_S = 0.6;
 
@@ -26,7 +28,7 @@ export async function readRecording(file, skeleton) {
   const readers = {
     '.mat': () => readMat(bytes, file.name),
     '.npz': () => readNpz(bytes, file.name),
-    '.csv': () => readCsv(new TextDecoder().decode(bytes), file.name, skeleton),
+    '.csv': () => readCsv(readText(bytes, file.name), file.name, skeleton),
   };
   if (!readers[suffix]) throw new Error(`${file.name}: expected .mat, .npz or .csv.`);
   const clips = (await readers[suffix]()).filter((clip) => clip.frames.length);
@@ -35,8 +37,16 @@ export async function readRecording(file, skeleton) {
   if (clips.some((clip) => clip.joints !== expected)) {
     throw new Error(`${file.name} has ${clips[0].joints} joints, ${skeleton.name} has ${expected}.`);
   }
-  if (!clips.every(({ rateHz }) => rateHz > 0 && rateHz < Infinity)) throw new Error(`${file.name}: its rate makes no sense.`);
+  if (!clips.every(({ rateHz }) => rateHz >= LEAST_HZ && rateHz <= MOST_HZ)) throw new Error(`${file.name}: its rate makes no sense.`);
   return clips;
+}
+
+function readText(bytes, name) {
+  try {
+    return new TextDecoder('utf-8', { fatal: true }).decode(bytes);
+  } catch {
+    throw new Error(`${name}: it is no text in UTF-8.`);
+  }
 }
 
 /** A recording that is played over and over, with a breath without the person between clips. */

@@ -1,3 +1,4 @@
+import { MOST_USERS } from '../api.js';
 import { h, replace } from '../dom.js';
 
 /** The list of people with their state. */
@@ -10,7 +11,9 @@ export function showPeople(app, node) {
     replace(node, h('p', { class: 'muted' }, app.phase === 'ready' ? 'No one is known yet.' : '—'));
     return;
   }
-  replace(node, h('ul', { class: 'people' }, app.users.map((user) => h('li', {}, showPerson(app, user)))));
+  replace(node,
+    h('ul', { class: 'people' }, app.users.map((user) => h('li', {}, showPerson(app, user)))),
+    app.users.length >= MOST_USERS && h('p', { class: 'muted' }, `These are the newest ${app.users.length}.`));
 }
 
 function showPerson(app, user) {
@@ -19,7 +22,7 @@ function showPerson(app, user) {
     class: 'person', type: 'button', 'data-key': `person-${user.id}`, 'data-user': user.id,
     'aria-current': String(user.id === app.selected), onclick: () => app.select(user.id),
   },
-  h('span', { class: 'face', 'aria-hidden': 'true' }, name.slice(0, 1).toUpperCase()),
+  h('span', { class: 'face', 'aria-hidden': 'true' }, [...name][0].toUpperCase()),
   h('strong', {}, name),
   h('span', { class: 'chips' }, listStates(app, user).map(([text, look]) => h('span', { class: `chip ${look}` }, text))));
 }
