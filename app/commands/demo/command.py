@@ -114,7 +114,7 @@ async def _add_users(target: Target, users: Sequence[str]) -> None:
     async with Api(target.url, key=target.key) as api:
         for user in users:
             try:
-                await api.add_user(user, display_name="Synthetic person")
+                await api.add_user(user, display_name=f"Synthetic {user}")
             except ApiError as error:
                 if error.status != FORBIDDEN:
                     raise

@@ -47,7 +47,9 @@ def draw(
 def describe_plainly(report: Report) -> str:
     """Tell the state of one stream in one line, for output that is no terminal."""
     errors = "  ".join(
-        "{:g} s {:.1f}/{:.1f} cm".format(ahead, *report.scores.errors[ahead].mean(last=RECENT))
+        "{:g} s ahead {:.1f} cm, standing still {:.1f} cm".format(
+            ahead, *report.scores.errors[ahead].mean(last=RECENT)
+        )
         for ahead in AHEAD
     )
     p50, p99 = report.scores.latency()

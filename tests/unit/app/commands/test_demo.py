@@ -124,7 +124,7 @@ def test_people_without_a_forecast_are_shown_too() -> None:
 
 def test_plain_line_and_figures_say_the_same() -> None:
     report = make_report(sent=120, answered=106)
-    assert "0.5 s 2.0/15.0 cm" in describe_plainly(report)
+    assert "0.5 s ahead 2.0 cm, standing still 15.0 cm" in describe_plainly(report)
     figures = to_figures(report)
     assert figures["error_cm"]["0.5"] == {"forecast_cm": 2.0, "zero_velocity_cm": 15.0}
     assert figures["version"]["sha256"] == "0123456789abcdef"
