@@ -331,6 +331,11 @@ def test_versions_are_shown_promoted_and_rolled_back(trained, window, server):
     )
     page.click("#show-beside")
     window.await_that("/Personal \\d/.test(document.querySelector('#error-caption').innerText)")
+    window.await_that(
+        f"(({{ base, personal }}) => base && personal)(main.view.momentOf('{trained}'))"
+        f" && main.view.figures.get('{trained}').ghosts.personal.group.visible"
+        f" && main.view.figures.get('{trained}').copy.group.visible"
+    )
     window.shoot("versions")
     assert scan(window, "versions") == []
     page.click("#rollback")

@@ -53,15 +53,20 @@ export class View extends Emitter {
       return moments[moments.length - 1 - back - before];
     }
     const history = this.app.performers.get(id)?.history;
-    return history?.get(this.#findNow(history) - before);
+    return history?.get(this.#findNow(id, history) - before);
   }
 
-  /** The newest frame that has been answered; the newest of all where none has. */
-  #findNow(history) {
+  /** The newest frame that has been answered, by both where there are two; the newest of all where none has. */
+  #findNow(id, history) {
+    const isPersonal = this.app.performers.get(id)?.isPersonal;
+    let answered = history.next - 1;
     for (let number = history.next - 1; number >= history.next - BEHIND; number--) {
-      if (history.get(number)?.personal) return number;
+      const moment = history.get(number);
+      if (!moment?.personal) continue;
+      if (!isPersonal || moment.base) return number;
+      if (!history.get(answered)?.personal) answered = number;
     }
-    return history.next - 1;
+    return answered;
   }
 
   /** Stop the picture; the stream goes on, as a robot's would. */
@@ -69,7 +74,7 @@ export class View extends Emitter {
     if (!this.app.performers.size) return;
     this.#frozen = new Map([...this.app.performers].map(([id, one]) => [id, one.history.toArray()]));
     const history = this.app.performer?.history;
-    this.back = history ? history.next - 1 - this.#findNow(history) : 0;
+    this.back = history ? history.next - 1 - this.#findNow(this.app.selected, history) : 0;
     this.emit('change');
   }
 

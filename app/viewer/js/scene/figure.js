@@ -72,9 +72,10 @@ export class Figure {
     if (pose) this.#place(pose);
     const radius = (j) => (j === this.head ? HEAD : LIVE.joint);
     this.live.set(0, pose, radius);
-    const twoColours = held.personal && held.base && held.personal !== held.base;
-    const personal = show.personal && twoColours ? held.personal : null;
-    const base = show.base || !twoColours ? held.base : null;
+    const isPersonal = held.personal?.version.kind === 'personal';
+    const twoColours = isPersonal && held.base;
+    const personal = show.personal && isPersonal ? held.personal : null;
+    const base = isPersonal ? (show.base ? held.base : null) : (held.base ?? held.personal);
     this.beside.position.x = show.beside && twoColours ? -BESIDE_M : 0;
     this.copy.set(0, show.beside && twoColours ? pose : null, radius);
     this.#foresee('personal', personal, show);

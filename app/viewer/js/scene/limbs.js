@@ -1,7 +1,10 @@
 import * as THREE from 'three';
+import { IS_SOFTWARE } from './software.js';
 
 /** Sides of a bone, and rings and sides of a joint, by how closely they are looked at. */
-const DETAIL = { fine: [7, 5, 8], coarse: [4, 2, 4], round: [7, 4, 7] };
+const DETAIL = IS_SOFTWARE
+  ? { fine: [7, 5, 8], coarse: [4, 2, 4], round: [8, 4, 8] }
+  : { fine: [10, 8, 12], coarse: [5, 3, 6], round: [12, 8, 12] };
 
 /**
  * Poses of one skeleton as round bones and joints, in one call to the card.

@@ -1,6 +1,7 @@
 import * as THREE from 'three';
 import { OrbitControls } from 'three/OrbitControls.js';
 import { Floor } from './floor.js';
+import { IS_SOFTWARE } from './software.js';
 
 /** Where the camera may stand; the sensor is at -z, so that nobody is mirrored. */
 const VIEWS = {
@@ -15,21 +16,12 @@ const SLOW_MS = 37;
 const REST_MS = 250;
 const STEP = 0.08;
 
-/** Whether pictures are made by the processor, for which smooth edges cost too much. */
-function isSoftware() {
-  const probe = document.createElement('canvas').getContext('webgl2');
-  const about = probe?.getExtension('WEBGL_debug_renderer_info');
-  const name = about ? probe.getParameter(about.UNMASKED_RENDERER_WEBGL) : '';
-  probe?.getExtension('WEBGL_lose_context')?.loseContext();
-  return /swiftshader|llvmpipe|software/i.test(name);
-}
-
 /** The room: camera and floor; draws when asked. */
 export class Stage {
   /** @param {HTMLCanvasElement} canvas */
   constructor(canvas) {
     this.canvas = canvas;
-    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !isSoftware(), powerPreference: 'low-power' });
+    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !IS_SOFTWARE, powerPreference: 'low-power' });
     this.scene = new THREE.Scene();
     this.camera = new THREE.PerspectiveCamera(34, 1, 0.1, 60);
     this.controls = new OrbitControls(this.camera, canvas);
