@@ -202,6 +202,21 @@ def test_clocks_that_differ_by_an_hour_change_nothing(wire, skew_s):
         robot.run_until(lambda: stream.latest() is not None)
 
 
+def test_a_clock_that_is_set_back_costs_forecasts_for_a_moment_only(wire):
+    step_s = 0.0
+
+    def clock() -> float:
+        return time.monotonic() + step_s
+
+    with stream_over(wire, clock=clock) as stream:
+        robot = Robot(stream, clock)
+        robot.run_until(lambda: len(robot.used) > 15)
+        step_s, moment = -0.5, time.monotonic()
+        robot.run_until(lambda: robot.has_news_since(moment + 0.2))
+        assert time.monotonic() - moment < 2.5  # of 0.3 on an idle machine
+        assert "stale_frame" not in stream.statistics().errors
+
+
 def test_times_of_another_clock_than_the_streams_never_look_fresh(wire):
     with stream_over(wire) as stream:
         for pose in waving_person(seconds=1):

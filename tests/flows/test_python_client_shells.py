@@ -7,13 +7,12 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
 from kinecast_client import (
-    AnswerError,
     AsyncClient,
     Client,
     Clip,
@@ -290,73 +289,6 @@ def test_lists_go_on_over_their_pages(server, monkeypatch):
             client.users.add(f"page-{number}")
         listed = [user.id for user in client.users.list() if user.id.startswith("page-")]
     assert listed == [f"page-{number}" for number in reversed(range(5))]
-
-
-@contextmanager
-def answering(parts: Iterable[bytes]) -> Iterator[str]:
-    """A server that answers one request by these parts."""
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-
-        def answer() -> None:
-            connection, _ = listener.accept()
-            with connection, suppress(OSError):
-                connection.recv(65_536)
-                for part in parts:
-                    connection.sendall(part)
-
-        thread = threading.Thread(target=answer)
-        thread.start()
-        yield f"http://127.0.0.1:{listener.getsockname()[1]}"
-        thread.join()
-
-
-def trickle() -> AbstractContextManager[str]:
-    """A server that sends a byte of its answer now and then."""
-
-    def parts() -> Iterator[bytes]:
-        yield b"HTTP/1.1 200 OK\r\nContent-Length: 1000\r\n\r\n"
-        for _ in range(100):
-            yield b" "
-            time.sleep(0.05)
-
-    return answering(parts())
-
-
-def flood() -> AbstractContextManager[str]:
-    """A server whose answer is longer than anybody should have to hold."""
-    return answering([b"HTTP/1.1 200 OK\r\n\r\n", *[bytes(2**20)] * 65])
-
-
-def test_an_answer_without_end_is_given_up_before_it_fills_the_memory():
-    too_long = pytest.raises(AnswerError, match="longer than 64 MiB")
-    with flood() as url, Client(url, "key") as client, too_long:
-        client.users.get("ada")
-
-
-@pytest.mark.asyncio
-async def test_an_answer_without_end_is_given_up_by_a_task_too():
-    with flood() as url:
-        async with AsyncClient(url, "key") as client:
-            with pytest.raises(AnswerError, match="longer than 64 MiB"):
-                await client.users.get("ada")
-
-
-def test_an_answer_that_trickles_in_is_given_up_at_the_deadline():
-    with trickle() as url, Client(url, "key", timeout_s=0.3) as client:
-        begin = time.monotonic()
-        with pytest.raises(DeadlineError):
-            client.users.get("ada")
-        assert time.monotonic() - begin < 2.0
-
-
-@pytest.mark.asyncio
-async def test_an_answer_that_trickles_in_is_given_up_at_the_deadline_of_a_task_too():
-    with trickle() as url:
-        async with AsyncClient(url, "key", timeout_s=0.3) as client:
-            begin = time.monotonic()
-            with pytest.raises(DeadlineError):
-                await client.users.get("ada")
-            assert time.monotonic() - begin < 2.0
 
 
 def test_nobody_at_the_address_is_said_so():

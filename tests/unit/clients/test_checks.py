@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from kinecast_client import Client, Clip, FrameError, calls
 from kinecast_client.address import find_stream_url, is_loopback, read_url
-from kinecast_client.answers import read_answer
+from kinecast_client.answers import follow, read_answer, read_single_forecast
 from kinecast_client.checks import check_label, check_settings, check_trial
 from kinecast_client.errors import AnswerError, ApiError, BusyError, InvalidError
+from kinecast_client.frames import read_confidence, read_joints, read_time
 from kinecast_client.messages import Settings
 
 URL = "http://127.0.0.1:9"
@@ -160,3 +161,92 @@ def test_no_name_leads_to_another_route(name):
     assert path.startswith("/v1/users/")
     url = httpx.URL("http://host").join(path)
     assert url.raw_path.count(b"/") == 3
+
+
+@pytest.mark.parametrize("label", ["\ud800", "wave \udcff"])
+def test_half_a_character_is_no_label_and_no_user(label):
+    with pytest.raises(ValueError, match="half"):
+        check_label(label)
+    with Client(URL, "key") as client, pytest.raises(ValueError, match="cannot be the id"):
+        client.stream(label)
+
+
+class Odd:
+    """An array of a library that does not give its numbers away."""
+
+    def __array__(self, dtype=None, copy=None):
+        raise RuntimeError("call detach first")
+
+
+@pytest.mark.parametrize("joints", [Odd(), [[10**400, 0, 0]], np.ones((2, 3), complex)])
+def test_whatever_is_no_array_of_numbers_is_a_frame_error(joints):
+    with pytest.raises(FrameError):
+        read_joints(joints, None)
+    with pytest.raises(FrameError):
+        read_time(10**400)
+
+
+def test_numbers_beyond_single_precision_warn_nobody():
+    with np.errstate(all="raise"):
+        assert np.isinf(read_joints(np.full((2, 3), 1e300), 2)).all()
+        assert (read_confidence(np.full(2, 1e300), 2) == 1).all()
+
+
+def pack_forecast(**changes) -> bytes:
+    def pack(array, dtype):
+        return {"shape": array.shape, "dtype": dtype, "data": array.astype(dtype).tobytes()}
+
+    t = np.arange(1, 16) / 30
+    told = {
+        "frames": pack(changes.pop("frames", np.zeros((15, 2, 3))), "<f8"),
+        "t": pack(changes.pop("t", t), "<f8"),
+        "radius": pack(changes.pop("radius", np.full((15, 2), 0.1)), "<f4"),
+        "coverage": 0.9,
+        "version": {"number": 0, "kind": "base", "sha256": None},
+        "quality": [],
+        "severity": "info",
+        "filled": [],
+        "timing": {"queue_ms": 0.1, "compute_ms": 0.1, "total_ms": 0.2},
+    }
+    return msgspec.msgpack.encode(told | changes)
+
+
+def read(content: bytes):
+    return read_answer(
+        200,
+        {},
+        content,
+        lambda body: read_single_forecast(body, joints=2, t_observed=0.0, sent_at=0.0),
+    )
+
+
+def test_a_forecast_of_an_unknown_severity_is_not_used():
+    assert read(pack_forecast()).severity == "info"
+    assert not read(pack_forecast(severity="bogus")).is_usable
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"frames": np.full((15, 2, 3), 1e300)},
+        {"frames": np.zeros((15, 3, 3))},
+        {"frames": np.zeros((0, 2, 3)), "t": np.zeros(0)},
+        {"t": -np.arange(1, 16) / 30},
+        {"t": np.zeros(15)},
+        {"radius": np.full((15, 2), np.nan)},
+        {"radius": np.full((15, 2), -1.0)},
+        {"coverage": 7.5},
+    ],
+)
+def test_a_forecast_that_makes_no_sense_is_never_handed_out(changes):
+    with pytest.raises(AnswerError):
+        read(pack_forecast(**changes))
+
+
+def test_odd_headers_and_lists_in_a_circle_are_answers_without_sense():
+    with pytest.raises(ApiError) as raised:
+        read_answer(503, {"retry-after": "\u00b2"}, b"", lambda body: body)
+    assert raised.value.retry_after_s is None
+    assert (follow(None, "a"), follow("a", "b"), follow("b", None)) == ("a", "b", None)
+    with pytest.raises(AnswerError, match="circle"):
+        follow("a", "a")

@@ -204,6 +204,31 @@ def test_a_clock_that_was_restarted_is_compared_anew(rig):
     assert [message["type"] for message in rig.drain()] == ["pong"]
 
 
+def test_a_clock_that_is_set_back_by_less_than_a_restart_begins_anew(rig):
+    rig.stream(20)
+    first = rig.core.outgoing.floor
+    rig.skew = -0.5
+    (seq,) = rig.stream()
+    assert seq is not None
+    assert rig.core.outgoing.floor == seq > first
+    assert rig.core.hang_up == "the clock of the frames was set back"
+    rig.lose()
+    rig.connect()
+    rig.stream(3)
+    assert rig.core.hang_up is None
+    assert rig.statistics.refused == {}
+
+
+def test_without_a_number_from_the_clock_nothing_is_fresh(rig):
+    (seq,) = rig.stream()
+    rig.answer(seq)
+    held = rig.latest
+    assert held is not None
+    rig.skew = math.nan
+    assert rig.latest is None
+    assert held.age_s == math.inf
+
+
 def test_the_offset_of_the_clocks_is_that_of_the_quickest_pong(rig):
     for delay, error in ((0.2, 0.05), (0.002, 0.0), (0.3, 0.1)):
         while not (sent := rig.drain()):
