@@ -1,5 +1,6 @@
 """The Python client against servers whose answers never end, or never begin."""
 
+import gc
 import socket
 import threading
 import time
@@ -87,3 +88,30 @@ async def test_an_answer_that_trickles_in_is_given_up_at_the_deadline_of_a_task_
             with pytest.raises(DeadlineError):
                 await client.users.get("ada")
             assert time.monotonic() - begin < 2.0
+
+
+def count_loops() -> int:
+    return sum(thread.name == "kinecast-client" for thread in threading.enumerate())
+
+
+def test_a_client_that_nobody_closes_leaves_no_thread():
+    before = count_loops()
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+    client = Client(f"http://127.0.0.1:{port}", "key")
+    assert not client.is_ready()
+    assert count_loops() == before + 1
+    del client
+    gc.collect()
+    deadline = time.monotonic() + 5
+    while count_loops() > before:
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def test_a_closed_client_says_so():
+    client = Client("http://127.0.0.1:9", "key")
+    client.close()
+    for ask in (lambda: client.users.get("ada"), lambda: client.stream("ada")):
+        with pytest.raises(RuntimeError, match="closed"):
+            ask()

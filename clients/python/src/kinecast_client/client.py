@@ -178,6 +178,7 @@ class Client:
             Target(self.url, user, self._key),
             options,
             loop=self._start_loop().loop,
+            owner=self,
             on_forecast=on_forecast,
             on_event=on_event,
         )
@@ -190,6 +191,7 @@ class Client:
                 raise RuntimeError("the client was closed")
             if self._own is None or not self._own.is_alive:
                 self._own = OwnLoop(self.url, self._key)
+                weakref.finalize(self, self._own.abandon)
             return self._own
 
     def _send(self, call: Call[Answer], timeout_s: float | None = None) -> Answer:

@@ -45,6 +45,12 @@ class OwnLoop:
         finally:
             future.cancel()
 
+    def abandon(self) -> None:
+        """Have it end, without waiting: nobody is left who could close it."""
+        if self.is_alive:
+            with suppress(RuntimeError):  # it was closed
+                self.loop.call_soon_threadsafe(self.loop.stop)
+
     def stop(self) -> None:
         """Stop it and wait for its end."""
         if not self.is_alive:

@@ -41,10 +41,12 @@ class Stream(StreamBase):
         options: StreamOptions,
         *,
         loop: asyncio.AbstractEventLoop,
+        owner: object,
         on_forecast: OnForecast | None,
         on_event: OnEvent | None,
     ) -> None:
         super().__init__(target, options)
+        self._owner = owner  # the loop ends with it
         self._changed = threading.Condition(self._lock)
         self._seen = 0
         self._events: deque[Event] | None = None if on_event is None else deque(maxlen=_EVENTS_KEPT)
