@@ -47,6 +47,8 @@ def write_fixtures(folder: Path) -> None:
         out = io.BytesIO()
         save(out, **arrays)
         (folder / name).write_bytes(out.getvalue())
+    np.savez(folder / "fortran.npz", **arrays | {"frames": np.asfortranarray(poses)})
+    np.savez(folder / "half.npz", **arrays | {"frames": poses.astype(np.float16)})
 
 
 def test_the_modules_pass_their_own_tests(tmp_path):

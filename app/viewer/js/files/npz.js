@@ -88,12 +88,33 @@ export function readNpy(bytes) {
   const begin = (wide ? 12 : 10) + (wide ? view.getUint32(8, true) : view.getUint16(8, true));
   const header = new TextDecoder('latin1').decode(bytes.subarray(10, begin));
   const kind = /'descr':\s*'([^']+)'/.exec(header)?.[1] ?? '';
-  if (!/'fortran_order':\s*False/.test(header)) throw new Error('an array is in Fortran order');
   const shape = (/'shape':\s*\(([^)]*)\)/.exec(header)?.[1] ?? '')
     .split(',').filter((part) => part.trim()).map(Number);
   if (!shape.every((size) => Number.isInteger(size) && size >= 0)) throw new Error('an array has no shape');
   const count = shape.reduce((product, size) => product * size, 1);
-  return { shape, values: readValues(view, begin, kind, count) };
+  const values = readValues(view, begin, kind, count);
+  return { shape, values: /'fortran_order':\s*True/.test(header) ? toRows(values, shape) : values };
+}
+
+/** Values whose first index varies fastest, in the order in which the last one does. */
+function toRows(values, shape) {
+  const strides = shape.map((_, axis) => shape.slice(0, axis).reduce((product, size) => product * size, 1));
+  return values.map((_, i) => {
+    let place = 0;
+    for (let axis = shape.length - 1, left = i; axis >= 0; axis--) {
+      place += (left % shape[axis]) * strides[axis];
+      left = Math.floor(left / shape[axis]);
+    }
+    return values[place];
+  });
+}
+
+/** A number of half precision, IEEE 754. */
+function readHalf(view, at) {
+  const bits = view.getUint16(at, true);
+  const [sign, exponent, fraction] = [bits >> 15 ? -1 : 1, (bits >> 10) & 31, bits & 1023];
+  if (exponent === 31) return fraction ? NaN : sign * Infinity;
+  return sign * (exponent ? 2 ** (exponent - 15) * (1 + fraction / 1024) : 2 ** -14 * (fraction / 1024));
 }
 
 function readValues(view, begin, kind, count) {
@@ -108,6 +129,10 @@ function readValues(view, begin, kind, count) {
   if (kind === '<i8' || kind === '<u8') {
     check(8);
     return Array.from({ length: count }, (_, i) => Number(view.getBigInt64(begin + 8 * i, true)));
+  }
+  if (kind === '<f2') {
+    check(2);
+    return Array.from({ length: count }, (_, i) => readHalf(view, begin + 2 * i));
   }
   if (!TYPES[kind]) throw new Error(`an array has the type ${kind}`);
   const [size, method] = TYPES[kind];
