@@ -46,17 +46,17 @@ class OwnLoop:
             future.cancel()
 
     def abandon(self) -> None:
-        """Have it end, without waiting: nobody is left who could close it."""
+        """Have it end, as far as it does at once: nobody is left who could close it."""
         if self.is_alive:
             with suppress(RuntimeError):  # it was closed
                 self.loop.call_soon_threadsafe(self.loop.stop)
+        if self._thread is not threading.current_thread():
+            self._thread.join(_GRACE_S if self.is_alive else 0)
 
     def stop(self) -> None:
         """Stop it and wait for its end."""
         if not self.is_alive:
             return
-        with suppress(Exception):
-            asyncio.run_coroutine_threadsafe(self.rest.close(), self.loop).result(_GRACE_S)
         self.loop.call_soon_threadsafe(self.loop.stop)
         self._thread.join()
 
@@ -69,5 +69,7 @@ class OwnLoop:
             for task in tasks:
                 task.cancel()
             self.loop.run_until_complete(asyncio.gather(*tasks, return_exceptions=True))
+            with suppress(Exception):  # a link that does not even close
+                self.loop.run_until_complete(asyncio.wait_for(self.rest.close(), _GRACE_S))
             self.loop.run_until_complete(self.loop.shutdown_asyncgens())
             self.loop.close()
