@@ -213,7 +213,7 @@ def test_a_clock_that_is_set_back_costs_forecasts_for_a_moment_only(wire):
         robot.run_until(lambda: len(robot.used) > 15)
         step_s, moment = -0.5, time.monotonic()
         robot.run_until(lambda: robot.has_news_since(moment + 0.2))
-        assert time.monotonic() - moment < 2.5  # of 0.3 on an idle machine
+        assert time.monotonic() - moment < 2.5  # of 0.5 on an idle machine
         assert "stale_frame" not in stream.statistics().errors
 
 
