@@ -15,6 +15,7 @@ from safetensors.torch import save as save_tensors
 from torch import Tensor, nn
 
 from models.baselines import Forecaster
+from models.correction import Correction
 from models.decoder import Decoder
 from models.familiarity import Familiarity
 from models.latent import Adversary
@@ -24,10 +25,12 @@ from models.skeleton import KINECT_V1
 from models.spec import MotionSpec
 from models.uncertainty import RadiusTable
 
-FORMAT, PERSONAL_FORMAT = "kinecast-base-1", "kinecast-personal-1"
+FORMAT, PERSONAL_FORMAT = "kinecast-base-1", "kinecast-personal-2"
+UNCORRECTED_FORMAT = "kinecast-personal-1"
+"""Of personal versions before corrections were a part of them."""
 SHIPPED = Path(__file__).parent / "pretrained" / "base.safetensors"
 _NET, _ADVERSARY, _RADIUS = "net.", "adversary.", "radius"
-_DECODER, _FAMILIARITY = "decoder.", "familiarity."
+_DECODER, _FAMILIARITY, _CORRECTION = "decoder.", "familiarity.", "correction."
 
 
 class CheckpointError(ValueError):
@@ -133,6 +136,7 @@ def dump_personal(
     *,
     base_sha256: str,
     familiarity: Familiarity | None = None,
+    correction: Correction | None = None,
 ) -> bytes:
     """Serialise one person's decoder; the same input gives the same bytes.
 
@@ -145,6 +149,9 @@ def dump_personal(
             _FAMILIARITY + name: t.contiguous() for name, t in familiarity.tensors().items()
         }
         described["familiarity"] = familiarity.describe()
+    if correction is not None:
+        tensors |= {_CORRECTION + name: t.contiguous() for name, t in correction.tensors().items()}
+        described["correction"] = correction.describe()
     return save_tensors(tensors, metadata={"kinecast": json.dumps(described, sort_keys=True)})
 
 
@@ -167,7 +174,7 @@ def load_personal(blob: bytes, base: Forecaster, *, base_sha256: str) -> Persona
         CheckpointError: not such a file, fitted on another base, or weights that are not finite.
     """
     metadata, tensors = parse_blob(blob)
-    if metadata.get("format") != PERSONAL_FORMAT:
+    if metadata.get("format") not in (PERSONAL_FORMAT, UNCORRECTED_FORMAT):
         raise CheckpointError(f"format {metadata.get('format')!r} is not {PERSONAL_FORMAT!r}")
     if metadata.get("base_sha256") != base_sha256:
         raise CheckpointError(f"fitted on the base {metadata.get('base_sha256')}")
@@ -178,7 +185,8 @@ def load_personal(blob: bytes, base: Forecaster, *, base_sha256: str) -> Persona
     decoder = copy.deepcopy(base.decoder)
     _fill(decoder, tensors, _DECODER)
     familiarity = _restore_familiarity(tensors, metadata, base.config.continuous)
-    return PersonalDecoder(base, decoder, familiarity, metadata)
+    correction = _restore_correction(tensors, metadata, familiarity, base.spec)
+    return PersonalDecoder(base, decoder, familiarity, metadata, correction)
 
 
 def write_state(path: Path, tensors: dict[str, Tensor], meta: dict[str, Any]) -> None:
@@ -211,9 +219,8 @@ def parse_blob(blob: bytes) -> tuple[dict[str, Any], dict[str, Tensor]]:
 
 
 def _fill(net: nn.Module, tensors: dict[str, Tensor], prefix: str) -> None:
-    state = {name.removeprefix(prefix): t for name, t in tensors.items() if name.startswith(prefix)}
     try:
-        net.load_state_dict(state)
+        net.load_state_dict(_pick(tensors, prefix))
     except RuntimeError as error:
         raise CheckpointError(
             f"the weights do not fit the net they claim to be: {error}"
@@ -224,11 +231,7 @@ def _fill(net: nn.Module, tensors: dict[str, Tensor], prefix: str) -> None:
 def _restore_familiarity(
     tensors: dict[str, Tensor], metadata: dict[str, Any], continuous: int
 ) -> Familiarity | None:
-    found = {
-        name.removeprefix(_FAMILIARITY): tensor
-        for name, tensor in tensors.items()
-        if name.startswith(_FAMILIARITY)
-    }
+    found = _pick(tensors, _FAMILIARITY)
     if not found and "familiarity" not in metadata:
         return None
     try:
@@ -238,6 +241,34 @@ def _restore_familiarity(
     if len(familiarity.mean) != continuous:
         raise CheckpointError(f"familiarity must be in a latent of {continuous} dimensions")
     return familiarity
+
+
+def _restore_correction(
+    tensors: dict[str, Tensor],
+    metadata: dict[str, Any],
+    familiarity: Familiarity | None,
+    spec: MotionSpec,
+) -> Correction | None:
+    found = _pick(tensors, _CORRECTION)
+    if not found and "correction" not in metadata:
+        return None
+    if familiarity is None:
+        raise CheckpointError("a correction without a model of familiarity")
+    points, coordinates = len(familiarity.points), 3 * spec.horizon * spec.joints
+    try:
+        described = metadata["correction"]
+        return Correction.restore(found, described, points=points, coordinates=coordinates)
+    except (KeyError, TypeError, ValueError) as error:
+        raise CheckpointError(f"bad correction: {error}") from error
+
+
+def _pick(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    """Give the tensors of one part."""
+    return {
+        name.removeprefix(prefix): tensor
+        for name, tensor in tensors.items()
+        if name.startswith(prefix)
+    }
 
 
 def _restore_radius(table: Tensor, metadata: dict[str, Any], spec: MotionSpec) -> RadiusTable:

@@ -2,109 +2,127 @@
 
 No training: kernel ridge regression (the mean of a Gaussian process; Rasmussen and Williams 2006,
 chapter 2) of the base's errors on the windows of a person's trials, in the few directions of the
-frozen latent in which familiarity is measured. Far from all of these windows nothing is left of it,
-so it needs no gate. It is exact after a fraction of a second, and a row of its own in the tables:
-what a fitted decoder must be better than.
+frozen latent in which familiarity is measured. Far from all of these windows nothing is left of it.
+It is exact after a fraction of a second, and it knows something that a fitted decoder does not, so
+every version has a part of it; `baselines/closed_form.py` is what it does by itself.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from math import isfinite
+from typing import Any
 
 import torch
 from jaxtyping import Float, Float64
 from torch import Tensor
 
-from models.data.clips import Clip
-from models.data.windows import cut_windows
-from models.familiarity import Familiarity
-from models.predictor import Encoded, Predictor
-from models.training.finetune import encode_windows
+from models.familiarity import Familiarity, thin_out
 
 WIDTH, STRENGTH = 1.0, 1.0
 """Chosen on subject 7 of UTD-MHAD, see training/LOG.md; both are flat there."""
+RANK = 32
+"""Directions of a forecast in which it is kept; they hold all but half a percent of it."""
+PART = 0.4
+"""Of a version's forecast; the rest is the fitted decoder's. Chosen on subjects 3 and 7."""
+MOST_CENTRES, MOST_WINDOWS = 2048, 8192
+"""Of a long recording; with more, the equations would take longer than the fit beside them."""
 
 
-@dataclass(frozen=True, eq=False)
-class KernelCorrection:
-    """A base whose errors on one person are known; called like every forecaster.
+@dataclass(frozen=True, slots=True)
+class Correction:
+    """The errors of a base near the windows of a person, as a sum of bumps around them.
 
     Attributes:
-        base: the net.
-        familiarity: of the person's windows, which are the centres of the kernel.
-        coefficients: of each centre, for every coordinate of a forecast (normalised units, in
-            canonical heading).
-        width: of the kernel, in the distance of `familiarity`.
+        coefficients: of the bump around each point of the person's familiarity.
+        basis: what a coefficient stands for: displacements of all joints in all frames (normalised
+            units, in canonical heading).
+        width: of the bumps, in the distance of familiarity.
+        part: that the corrected base has in the forecast of a version.
     """
 
-    base: Predictor
-    familiarity: Familiarity
-    coefficients: Float64[Tensor, "point coordinate"]
-    width: float
+    coefficients: Float[Tensor, "point rank"]
+    basis: Float[Tensor, "rank coordinate"]
+    width: float = WIDTH
+    part: float = PART
 
     @classmethod
     def fit(
         cls,
-        base: Predictor,
-        clips: Sequence[Clip],
+        familiarity: Familiarity,
+        z: Float[Tensor, "window continuous"],
+        missed: Float[Tensor, "window coordinate"],
         *,
         width: float = WIDTH,
         strength: float = STRENGTH,
-    ) -> "KernelCorrection":
-        """Solve for a person's clips.
+    ) -> "Correction":
+        """Solve for what was missed on some windows; kept as 16 bits hold it.
 
         Args:
-            base: the net whose errors these are.
-            clips: of one person.
-            width: of the kernel, in the distance of familiarity.
+            familiarity: of these windows; the bumps stand around its points.
+            z: of the windows.
+            missed: truth minus the base's forecast (normalised units).
+            width: of the bumps, in the distance of familiarity.
             strength: of the regularisation towards the base.
+        """
+        some = thin_out(len(z), MOST_WINDOWS)
+        centres = thin_out(len(familiarity.points), MOST_CENTRES)
+        kernel = _bump(familiarity.measure(z[some])[:, centres], width)
+        missed = missed[some].double()
+        normal = kernel.T @ kernel + strength * _bump(familiarity.measure_points(centres), width)
+        jitter = 1e-6 * torch.eye(len(centres), dtype=torch.float64)
+        solved = torch.linalg.solve(normal + jitter, kernel.T @ missed)
+        basis = torch.linalg.svd(kernel @ solved, full_matrices=False)[2][:RANK]
+        coefficients = torch.zeros(len(familiarity.points), len(basis), dtype=torch.float64)
+        coefficients[centres] = solved @ basis.T
+        return cls(_round(coefficients), _round(basis), width)
+
+    def __call__(self, apart: Float[Tensor, "window point"]) -> Float[Tensor, "window coordinate"]:
+        """Say what to add to the base's forecasts.
+
+        Args:
+            apart: squared distances of windows to the points, as `Familiarity.measure` gives them.
+        """
+        near = torch.exp(apart / (-2 * self.width**2))
+        return near @ self.coefficients @ self.basis
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Give what a version's blob stores; 16 bits lose nothing."""
+        return {"coefficients": self.coefficients.half(), "basis": self.basis.half()}
+
+    def describe(self) -> dict[str, Any]:
+        """Give what a version's metadata says."""
+        return {"width": self.width, "part": self.part}
+
+    @classmethod
+    def restore(
+        cls, tensors: dict[str, Tensor], described: dict[str, Any], *, points: int, coordinates: int
+    ) -> "Correction":
+        """Rebuild from a blob.
+
+        Args:
+            tensors: as stored.
+            described: the same.
+            points: of the familiarity that it stands on.
+            coordinates: of a forecast.
 
         Raises:
-            ValueError: no clip is as long as a window.
+            ValueError: tensors that do not belong together.
+            KeyError: one is missing.
         """
-        cut = cut_windows(clips, base.spec)
-        whole = torch.cat([torch.as_tensor(cut.observed), torch.as_tensor(cut.future)], dim=1)
-        with torch.inference_mode():
-            found = encode_windows(base, whole)
-            moved = base.decoder(found.z, found.c, found.seed, horizon=base.spec.horizon)
-            missed = (found.target / base.normalizer.scales[0] - moved).flatten(1).double()
-            familiarity = Familiarity.fit(found.z)
-            kernel = _compare(familiarity, found.z, width)
-            centres = len(familiarity.points)
-            normal = kernel.T @ kernel + strength * _compare_points(familiarity, width)
-            jitter = 1e-6 * torch.eye(centres, dtype=torch.float64)
-            coefficients = torch.linalg.solve(normal + jitter, kernel.T @ missed)
-        return cls(base, familiarity, coefficients.clone(), width)
-
-    def __call__(
-        self, window: Float[Tensor, "batch observe joint 3"]
-    ) -> Float[Tensor, "batch horizon joint 3"]:
-        """Forecast the frames that follow each window: metres, in the frame of the input."""
-        encoded = self.base.encode(window)
-        moved = self._roll(encoded) + self._correct(encoded.z)
-        return self.base.normalizer.from_net(moved, window, encoded.placement)
-
-    def _roll(self, encoded: Encoded) -> Tensor:
-        horizon = self.base.spec.horizon
-        moved: Tensor = self.base.decoder(encoded.z, encoded.c, encoded.seed, horizon=horizon)
-        return moved
-
-    def _correct(self, z: Float[Tensor, "batch continuous"]) -> Tensor:
-        spec = self.base.spec
-        near = _compare(self.familiarity, z, self.width)
-        return (near @ self.coefficients).float().view(len(z), spec.horizon, spec.joints, 3)
+        coefficients, basis = tensors["coefficients"].float(), tensors["basis"].float()
+        rank = len(basis)
+        if coefficients.shape != (points, rank) or basis.shape != (rank, coordinates):
+            raise ValueError("its parts have different sizes")
+        if not 0 < rank <= RANK:
+            raise ValueError(f"it has {rank} directions, at most {RANK} are known")
+        correction = cls(coefficients, basis, **described)
+        if not (correction.width > 0 and isfinite(correction.width) and 0 <= correction.part <= 1):
+            raise ValueError(f"its width or part is impossible: {correction.describe()}")
+        return correction
 
 
-def _compare(
-    familiarity: Familiarity, z: Float[Tensor, "window continuous"], width: float
-) -> Float64[Tensor, "window point"]:
-    """Give the Gaussian kernel between windows and the points of familiarity."""
-    return _kernel((z - familiarity.mean) @ familiarity.axes, familiarity.points, width)
+def _bump(apart: Float[Tensor, "one other"], width: float) -> Float64[Tensor, "one other"]:
+    return torch.exp(apart.double() / (-2 * width**2))
 
 
-def _compare_points(familiarity: Familiarity, width: float) -> Float64[Tensor, "point point"]:
-    return _kernel(familiarity.points, familiarity.points, width)
-
-
-def _kernel(one: Tensor, other: Tensor, width: float) -> Float64[Tensor, "one other"]:
-    apart = torch.cdist(one.double(), other.double()).square() / one.shape[1]
-    return torch.exp(apart / (-2 * width**2))
+def _round(values: Float64[Tensor, "..."]) -> Float[Tensor, "..."]:
+    return values.half().float()

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 DIRECTIONS = 24
@@ -66,13 +66,22 @@ class Familiarity:
         spread = z.std(dim=0, correction=0).clamp_min(1e-3)
         _, _, rows = torch.linalg.svd((z - mean) / spread, full_matrices=False)
         axes = rows[:DIRECTIONS].T / spread[:, None]
-        points = ((z - mean) @ axes)[_thin_out(len(z))]
+        points = ((z - mean) @ axes)[thin_out(len(z), MOST_POINTS)]
         return cls(mean, axes.contiguous(), points, rule or FamiliarityRule())
+
+    def measure(self, z: Float[Tensor, "window continuous"]) -> Float[Tensor, "window point"]:
+        """Mean square distance, per direction, to each of the windows that it knows."""
+        apart = torch.cdist((z - self.mean) @ self.axes, self.points)
+        return apart.square() / self.points.shape[1]
+
+    def measure_points(self, some: Int[Tensor, " some"]) -> Float[Tensor, "some some"]:
+        """Mean square distance, per direction, between some of the windows that it knows."""
+        points = self.points[some]
+        return torch.cdist(points, points).square() / points.shape[1]
 
     def distance(self, z: Float[Tensor, "window continuous"]) -> Float[Tensor, " window"]:
         """Root mean square distance, per direction, to the nearest of the windows."""
-        apart = torch.cdist((z - self.mean) @ self.axes, self.points)
-        return torch.div(apart.min(dim=1).values, self.points.shape[1] ** 0.5)
+        return self.measure(z).min(dim=1).values.sqrt()
 
     def share(self, z: Float[Tensor, "window continuous"]) -> Float[Tensor, " window"]:
         """Part of the personal decoder in each forecast, 0 to 1; far enough out exactly these."""
@@ -110,5 +119,6 @@ class Familiarity:
         return cls(mean, axes, points, rule)
 
 
-def _thin_out(count: int) -> Tensor:
-    return torch.linspace(0, count - 1, min(count, MOST_POINTS)).round().long()
+def thin_out(count: int, most: int) -> Int[Tensor, " kept"]:
+    """Choose at most so many of some, evenly."""
+    return torch.linspace(0, count - 1, min(count, most)).round().long()

@@ -1,4 +1,9 @@
-"""One person's decoder as it is served: behind the shared encoder, gated by familiarity."""
+"""One person's decoder as it is served: behind the shared encoder, gated by familiarity.
+
+As far as a window is familiar, the forecast is the person's: the fitted decoder's for the most
+part, and for the rest that of the base, corrected by what it was seen to get wrong nearby. The
+remainder is the base's.
+"""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -7,6 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from models.correction import Correction
 from models.decoder import Decoder
 from models.familiarity import Familiarity
 from models.predictor import Encoded, Predictor
@@ -22,12 +28,19 @@ class PersonalDecoder:
         decoder: the person's, in evaluation mode.
         familiarity: what the person's windows look like; None: everything is familiar.
         metadata: what the file says about itself.
+        correction: of the base near the windows of `familiarity`; None: the decoder answers alone.
     """
 
     base: Predictor
     decoder: Decoder
     familiarity: Familiarity | None
     metadata: dict[str, Any]
+    correction: Correction | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a correction without the windows that it stands on."""
+        if self.correction is not None and self.familiarity is None:
+            raise ValueError("a correction needs a model of familiarity to stand on")
 
     def __call__(
         self, window: Float[Tensor, "batch observe joint 3"]
@@ -60,13 +73,26 @@ class PersonalDecoder:
             return self
         return replace(self, familiarity=self.familiarity.reaching(half))
 
+    def correct(
+        self,
+        own: Float[Tensor, "batch horizon joint 3"],
+        of_base: Float[Tensor, "batch horizon joint 3"],
+        z: Float[Tensor, "batch continuous"],
+    ) -> Float[Tensor, "batch horizon joint 3"]:
+        """Give the corrected base its part in what the decoder says (normalised units)."""
+        if self.correction is None or self.familiarity is None:
+            return own
+        corrected = of_base + self.correction(self.familiarity.measure(z)).view_as(of_base)
+        return torch.lerp(own, corrected, self.correction.part)
+
     def _mix(self, encoded: Encoded, share: Float[Tensor, " batch"]) -> Tensor:
-        if bool((share == 1).all()):
+        if bool((share == 1).all()) and self.correction is None:
             return self._roll(self.decoder, encoded)
-        if bool((share == 0).all()):
-            return self._roll(self.base.decoder, encoded)
         of_base = self._roll(self.base.decoder, encoded)
-        return torch.lerp(of_base, self._roll(self.decoder, encoded), share[:, None, None, None])
+        if bool((share == 0).all()):
+            return of_base
+        own = self.correct(self._roll(self.decoder, encoded), of_base, encoded.z)
+        return torch.lerp(of_base, own, share[:, None, None, None])
 
     def _roll(self, decoder: Decoder, encoded: Encoded) -> Tensor:
         moved: Tensor = decoder(encoded.z, encoded.c, encoded.seed, horizon=self.base.spec.horizon)

@@ -18,14 +18,14 @@ from models.spec import MotionSpec
 class NetConfig:
     """Sizes of the net; written into every checkpoint."""
 
-    encoder_hidden: int = 128
+    encoder_hidden: int = 192
     encoder_heads: int = 4
-    continuous: int = 128
+    continuous: int = 192
     categories: int = 27
     decoder_token: int = 64
     decoder_hidden: int = 128
     decoder_heads: int = 4
-    spl_hidden: int = 48
+    spl_hidden: int = 32
     dropout: float = 0.0
     canonical_heading: bool = True
 

@@ -50,6 +50,7 @@ def dump(personal: PersonalDecoder, *, base_sha256: str = BASE_SHA256) -> bytes:
         personal.metadata,
         base_sha256=base_sha256,
         familiarity=personal.familiarity,
+        correction=personal.correction,
     )
 
 

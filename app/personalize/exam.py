@@ -9,14 +9,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from app.personalize.folds import Fold
-from app.personalize.judge import BLEND, REACHES, Figures, Rival, join, no_figures
+from app.personalize.judge import REACHES, Figures, Rival, join, no_figures
 from models.data.clips import Clip
 from models.data.windows import Windows, cut_windows
-from models.decoder import Decoder
 from models.metrics import FRAMES
 from models.personal import PersonalDecoder
-from models.predictor import Predictor
-from models.training.finetune import Encodings, blend, encode_windows
+from models.training.finetune import Encodings, encode_windows
 
 _BATCH = 512
 _CM2_PER_M2 = 1e4
@@ -76,9 +74,7 @@ def _measure(
     whole = torch.from_numpy(np.concatenate([windows.observed, windows.future], axis=1))
     with torch.inference_mode():
         found = encode_windows(candidate.base, whole)
-        of_base = _roll(candidate.base, candidate.base.decoder, found)
-        blended = blend(candidate.base.decoder, candidate.decoder, BLEND)
-        of_person = _roll(candidate.base, blended, found)
+        of_base, of_person = _roll(candidate, found)
         errors, offsets = [], []
         for reach in REACHES:
             gate = torch.cat([candidate.reaching(reach).share(z) for z in found.z.split(_BATCH)])
@@ -89,11 +85,17 @@ def _measure(
     return Figures(before, np.stack(errors)), np.stack(offsets)
 
 
-def _roll(base: Predictor, decoder: Decoder, encodings: Encodings) -> Tensor:
-    """Forecast displacements in metres, in canonical heading."""
-    parts = [encodings.pick(chosen) for chosen in torch.arange(len(encodings)).split(_BATCH)]
-    moved = [decoder(part.z, part.c, part.seed, horizon=base.spec.horizon) for part in parts]
-    return torch.cat(moved) * base.normalizer.scales[0]
+def _roll(candidate: PersonalDecoder, encodings: Encodings) -> tuple[Tensor, Tensor]:
+    """Forecast by the base and by the person alone: displacements in metres, canonical heading."""
+    base, of_base, of_person = candidate.base, [], []
+    for part in encodings.split(_BATCH):
+        given = (part.z, part.c, part.seed)
+        moved = base.decoder(*given, horizon=base.spec.horizon)
+        own = candidate.decoder(*given, horizon=base.spec.horizon)
+        of_base.append(moved)
+        of_person.append(candidate.correct(own, moved, part.z))
+    scale = base.normalizer.scales[0]
+    return torch.cat(of_base) * scale, torch.cat(of_person) * scale
 
 
 def _cumulate(off: Float[Tensor, "window horizon joint 3"]) -> Float[np.ndarray, "window frame"]:

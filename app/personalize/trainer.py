@@ -10,7 +10,6 @@ from math import isfinite
 from typing import Any
 
 import numpy as np
-import torch
 
 from app.domain.body import measure_bones
 from app.domain.versions import Verdict
@@ -25,17 +24,23 @@ from models.checkpoint import (
     load_checkpoint,
     load_personal,
 )
+from models.correction import Correction
 from models.data.clips import Clip, data_hash
-from models.data.windows import cut_windows
+from models.decoder import Decoder
 from models.familiarity import Familiarity
 from models.metrics import FRAMES
 from models.personal import PersonalDecoder
 from models.predictor import Predictor
 from models.rounding import round_matrices
-from models.training.finetune import FinetuneConfig, FinetuneProgress, blend, finetune
+from models.training.finetune import (
+    FinetuneConfig,
+    FinetuneProgress,
+    blend,
+    encode_plain,
+    find_missed,
+    finetune,
+)
 from models.uncertainty import fit_scale
-
-_ENCODE_BATCH = 512
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,11 +53,12 @@ class _Course:
     fits: int
 
     def fit(self, clips: Sequence[Clip], *, number: int, phase: str) -> PersonalDecoder:
-        """Fit a decoder and its gate."""
-        tell = self._tell(phase, number)
-        decoder = finetune(self.base.predictor, clips, self.config, report=tell)
-        gate = learn_familiarity(self.base.predictor, clips)
-        return PersonalDecoder(self.base.predictor, decoder, gate, {})
+        """Fit a version as it will be served: decoder, gate and correction."""
+        net = self.base.predictor
+        fitted = finetune(net, clips, self.config, report=self._tell(phase, number))
+        decoder = blend(net.decoder, fitted, BLEND)
+        round_matrices(decoder)
+        return learn_rest(net, decoder, clips)
 
     def examine(self, folds: Sequence[Fold], *, first: int = 0) -> list[Examined]:
         """Fit and measure a candidate for every fold."""
@@ -107,23 +113,22 @@ def train(lesson: Lesson, report: Report, *, config: FinetuneConfig | None = Non
     scale = fit_scale(base.radius, [part.distances(ruling.reach) for part in examined])
     if scale is not None:
         described["radius_scale"] = metrics["radius_scale"] = round(scale, 4)
-    decoder = blend(base.predictor.decoder, whole.decoder, BLEND)
-    round_matrices(decoder)
     blob = dump_personal(
-        decoder,
+        whole.decoder,
         described,
         base_sha256=base.sha256,
         familiarity=whole.reaching(ruling.reach).familiarity,
+        correction=whole.correction,
     )
     return Learned(ruling.verdict, ruling.message, blob, metrics)
 
 
-def learn_familiarity(predictor: Predictor, clips: Sequence[Clip]) -> Familiarity:
-    """Remember what the windows of clips look like in the frozen latent."""
-    observed = torch.from_numpy(cut_windows(clips, predictor.spec).observed)
-    with torch.inference_mode():
-        parts = [predictor.encode(part).z for part in observed.split(_ENCODE_BATCH)]
-    return Familiarity.fit(torch.cat(parts).clone())
+def learn_rest(net: Predictor, decoder: Decoder, clips: Sequence[Clip]) -> PersonalDecoder:
+    """Make a version of a fitted decoder: learn its gate and correction, which takes a moment."""
+    found = encode_plain(net, clips)
+    gate = Familiarity.fit(found.z)
+    correction = Correction.fit(gate, found.z, find_missed(net, found))
+    return PersonalDecoder(net, decoder, gate, {}, correction)
 
 
 def _configure(steps: int | None) -> FinetuneConfig:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from app.personalize.judge import BLEND
-from app.personalize.trainer import learn_familiarity
+from app.personalize.trainer import learn_rest
 from benchmarks.studies.bases import (
     FULL_ABLATION,
     LEFT_OUT_OF_ABLATIONS,
@@ -25,7 +25,6 @@ from models.baselines import Forecaster
 from models.data.clips import Clip
 from models.data.splits import PERSONAL_TRIAL, TEST_TRIALS
 from models.metrics import FRAMES
-from models.personal import PersonalDecoder
 from models.predictor import Predictor
 from models.training.bootstrap import bootstrap_ratios
 from models.training.finetune import FinetuneConfig, blend
@@ -66,15 +65,14 @@ def compute(unit: Unit, lab: Lab) -> dict[str, Any]:
 
 def _fit_decoder(net: Predictor, trial: Sequence[Clip]) -> dict[str, Forecaster]:
     plain = make_plain(net, trial)
-    gate = learn_familiarity(net, trial)
-    gated = PersonalDecoder(net, blend(net.decoder, plain.decoder, BLEND), gate, {})
+    gated = learn_rest(net, blend(net.decoder, plain.decoder, BLEND), trial)
     return {"plain": plain, "gated": gated}
 
 
 def _fit_whole(net: Predictor, trial: Sequence[Clip], rate: float) -> dict[str, Forecaster]:
     fitted = thaw(net, trial, replace(FinetuneConfig(), learning_rate=rate))
-    gate = learn_familiarity(net, trial)
-    return {"plain": fitted, "gated": GatedNet(net, blend_nets(net, fitted, BLEND), gate)}
+    rest = learn_rest(net, net.decoder, trial)
+    return {"plain": fitted, "gated": GatedNet(rest, blend_nets(net, fitted, BLEND))}
 
 
 def tell(row: Row) -> str:

@@ -142,10 +142,12 @@ def _list_ablations(full: PretrainConfig) -> dict[str, tuple[PretrainConfig, str
         "no-adversary": replace(full, adversarial_weight=0.0),
         "no-symmetry": replace(full, symmetric=False),
         "no-canonical-heading": replace(full, net=replace(full.net, canonical_heading=False)),
-        "no-labels": replace(full, label_weight=0.0),
+        "no-labels": replace(full, label_weight=0.0, moment_weight=0.0),
+        "no-moments": replace(full, moment_weight=0.0),
         "no-mixup": without_augmentation(full, "mix"),
         "no-sensor": without_augmentation(full, "tilt_rad", "offset_m", "bones", "noise_m"),
         "no-tempo": without_augmentation(full, "tempo", "slow"),
+        "no-postures": without_augmentation(full, "posture", "movement", "travel"),
         "no-average": replace(full, average=0.0),
     }
     found = parts | {name: (one, "") for name, one in settings.items()}

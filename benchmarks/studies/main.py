@@ -19,8 +19,9 @@ from benchmarks.studies.tables import (
     tell_ratios,
     tell_spread,
 )
+from models.baselines.closed_form import KernelCorrection
 from models.checkpoint import load_checkpoint
-from models.correction import STRENGTH, WIDTH, KernelCorrection
+from models.correction import STRENGTH, WIDTH
 from models.data.splits import PERSONAL_TRIAL, TEST_SUBJECTS, TEST_TRIALS
 from models.metrics import FRAMES
 from models.training.bootstrap import bootstrap_ratios

@@ -9,7 +9,7 @@ import torch
 
 from app.personalize.judge import BLEND
 from app.personalize.offline import personalize
-from app.personalize.trainer import learn_familiarity
+from app.personalize.trainer import learn_rest
 from benchmarks.studies.cache import Row
 from benchmarks.studies.everybody import find_base
 from benchmarks.studies.measured import Measured, measure
@@ -18,8 +18,8 @@ from benchmarks.studies.study import Lab, Options, Study, Unit
 from benchmarks.studies.tables import FRAME_COLUMNS, Table, cells
 from models.arithmetic import arithmetic
 from models.baselines import Forecaster
+from models.baselines.closed_form import KernelCorrection
 from models.checkpoint import load_checkpoint
-from models.correction import KernelCorrection
 from models.data.clips import Clip
 from models.data.splits import PERSONAL_TRIAL, TEST_SUBJECTS, TEST_TRIALS
 from models.personal import PersonalDecoder
@@ -95,8 +95,7 @@ def fit_within(
         encoded = monotonic()
         decoder = fit_decoder(net, encodings, config)
     fitted = monotonic()
-    gate = learn_familiarity(net, trial)
-    gated = PersonalDecoder(net, blend(net.decoder, decoder, BLEND), gate, {})
+    gated = learn_rest(net, blend(net.decoder, decoder, BLEND), trial)
     return {"plain": PersonalDecoder(net, decoder, None, {}), "gated": gated}, {
         "steps": config.steps,
         "copies": config.copies,
@@ -147,9 +146,9 @@ def time_run(base: bytes, trial: Sequence[Clip], threads: int, *, judged: bool) 
         began = monotonic()
         encodings = encode_clips(net, trial, config)
         encoded = monotonic()
-        fit_decoder(net, encodings, config)
+        decoder = fit_decoder(net, encodings, config)
         fitted = monotonic()
-        learn_familiarity(net, trial)
+        learn_rest(net, decoder, trial)
     return {
         "run_s": round(monotonic() - began, 2),
         "encoding_s": round(encoded - began, 2),

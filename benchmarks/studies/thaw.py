@@ -12,9 +12,9 @@ from models.arithmetic import arithmetic
 from models.data.augment import augment
 from models.data.clips import Clip
 from models.data.windows import cut_windows
-from models.familiarity import Familiarity
 from models.losses import reconstruction_loss
-from models.predictor import Predictor
+from models.personal import PersonalDecoder
+from models.predictor import Encoded, Predictor
 from models.training.config import one_cycle
 from models.training.finetune import FinetuneConfig
 
@@ -67,20 +67,28 @@ def _approach(net: Predictor, target: Predictor, part: float) -> None:
 
 @dataclass(frozen=True, eq=False)
 class GatedNet:
-    """A whole net of a person's own, mixed with the base by familiarity in the base's latent.
+    """A whole net of a person's own, gated and corrected as a person's decoder is.
 
     Attributes:
-        base, own: the two nets.
-        familiarity: the gate.
+        rest: the base, and the gate and correction in its latent.
+        own: the net.
     """
 
-    base: Predictor
+    rest: PersonalDecoder
     own: Predictor
-    familiarity: Familiarity
 
     def __call__(
         self, window: Float[Tensor, "batch observe joint 3"]
     ) -> Float[Tensor, "batch horizon joint 3"]:
         """Forecast the frames that follow each window."""
-        share = self.familiarity.share(self.base.encode(window).z)
-        return torch.lerp(self.base(window), self.own(window), share[:, None, None, None])
+        base = self.rest.base
+        encoded = base.encode(window)
+        of_base, own = _roll(base, encoded), _roll(self.own, self.own.encode(window))
+        share = self.rest.share(encoded.z)[:, None, None, None]
+        moved = torch.lerp(of_base, self.rest.correct(own, of_base, encoded.z), share)
+        return base.normalizer.from_net(moved, window, encoded.placement)
+
+
+def _roll(net: Predictor, encoded: Encoded) -> Tensor:
+    moved: Tensor = net.decoder(encoded.z, encoded.c, encoded.seed, horizon=net.spec.horizon)
+    return moved

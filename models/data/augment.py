@@ -10,8 +10,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from models.data.postures import assemble, change_posture, find_bones, scale_movement, travel
 from models.normalize import heading_rotation
-from models.skeleton import HIP_CENTER, KINECT_V1, topological_levels
+from models.skeleton import HIP_CENTER, KINECT_V1
 
 _PARTS = ((5, 6, 7), (9, 10, 11), (13, 14, 15), (17, 18, 19), (0, 1, 4, 8))
 _PART_OF_JOINT = [[float(joint in part) for joint in range(20)] for part in _PARTS]
@@ -39,6 +40,13 @@ class Augmentation:
         flicker_m: how far a part wanders in a frame, uniform up to this deviation.
         mix: probability of blending a window with another one of the batch, in canonical place and
             heading, by a uniform share (mixup, Zhang et al. 2018).
+        posture: probability of the same movement from another posture, see `postures`.
+        seated: part of those that sit.
+        movement: probability of larger or smaller movements, see `postures`.
+        travel: probability of moving through the room at a constant velocity, and of turning at a
+            constant rate, see `postures`.
+        speed_mps: of those who move, deviation of each horizontal direction.
+        turn_radps: of those who turn, deviation.
     """
 
     mirror: float = 0.5
@@ -48,13 +56,19 @@ class Augmentation:
     bones: float = 0.06
     offset_m: float = 0.003
     noise_m: float = 0.002
-    still: float = 0.02
+    still: float = 0.04
     tempo: float = 0.15
     slow: float = 0.12
     reverse: float = 0.0
     flicker: float = 0.25
     flicker_m: float = 0.012
     mix: float = 0.5
+    posture: float = 0.4
+    seated: float = 0.4
+    movement: float = 0.15
+    travel: float = 0.1
+    speed_mps: float = 0.6
+    turn_radps: float = 0.8
 
 
 def augment(
@@ -75,7 +89,10 @@ def augment_labelled(
     windows = _reverse(windows, config.reverse)
     windows = mirror(windows, chosen=_coin(windows, config.mirror))
     windows = _resize(windows, config)
-    windows, labels = _mix(windows, labels, config.mix, observe=observe)
+    if max(config.mix, config.posture, config.movement, config.travel) > 0:
+        windows = _place(windows, observe=observe)
+    windows, labels = _mix(windows, labels, config.mix)
+    windows = _retell(windows, config, observe=observe)
     windows = _turn(windows, config)
     windows = _flicker(windows, config)
     offset = torch.randn(len(windows), 1, windows.shape[2], 3, device=windows.device)
@@ -108,37 +125,47 @@ def _reverse(windows: Tensor, probability: float) -> Tensor:
 
 def _resize(windows: Tensor, config: Augmentation) -> Tensor:
     """Rebuild the body from the hip centre outwards with other bone lengths."""
-    parents = torch.tensor(KINECT_V1.parents, device=windows.device)
     pairs = torch.tensor(KINECT_V1.mirror, device=windows.device)
-    joints = torch.arange(len(parents), device=windows.device)
-    bone = 1 + config.bones * (
-        2 * torch.rand(len(windows), len(parents), device=windows.device) - 1
-    )
+    joints = torch.arange(len(pairs), device=windows.device)
+    bone = 1 + config.bones * (2 * torch.rand(len(windows), len(pairs), device=windows.device) - 1)
     bone = bone[:, torch.minimum(joints, pairs)]  # both sides alike
     bone = bone * _spread(len(windows), config.scale, windows.device)[:, None]
-    vectors = (windows - windows[:, :, parents.clamp(min=0)]) * bone[:, None, :, None]
-    built = torch.zeros_like(windows)
-    built[:, :, HIP_CENTER] = windows[:, :, HIP_CENTER]
-    for level in topological_levels(KINECT_V1.parents)[1:]:
-        joint = torch.tensor(level, device=windows.device)
-        built[:, :, joint] = built[:, :, parents[joint]] + vectors[:, :, joint]
-    return built
+    return assemble(windows[:, :, HIP_CENTER], find_bones(windows) * bone[:, None, :, None])
 
 
-def _mix(
-    windows: Tensor, labels: Tensor, probability: float, *, observe: int
-) -> tuple[Tensor, Tensor]:
+def _place(windows: Tensor, *, observe: int) -> Tensor:
+    """Put the last observed hip centre at the origin, and let everybody face the same way."""
+    observed = windows[:, :observe]
+    centred = windows - observed[:, -1:, HIP_CENTER : HIP_CENTER + 1]
+    placed: Tensor = centred @ heading_rotation(observed).transpose(1, 2)[:, None]
+    return placed
+
+
+def _mix(windows: Tensor, labels: Tensor, probability: float) -> tuple[Tensor, Tensor]:
     """Blend pairs of people: between two motions lies a motion, and nobody's habits."""
     if probability == 0.0:
         return windows, labels
-    observed = windows[:, :observe]
-    centred = windows - observed[:, -1:, HIP_CENTER : HIP_CENTER + 1]
-    placed = centred @ heading_rotation(observed).transpose(1, 2)[:, None]
     partner = torch.randperm(len(windows), device=windows.device)
     share = torch.rand(len(windows), 1, 1, 1, device=windows.device)
     share = torch.where(_coin(windows, probability), share, torch.zeros_like(share))
-    blended = placed + share * (placed[partner] - placed)
+    blended = windows + share * (windows[partner] - windows)
     return blended, labels + share[:, 0, 0] * (labels[partner] - labels)
+
+
+def _retell(windows: Tensor, config: Augmentation, *, observe: int) -> Tensor:
+    """Tell the same movement from other postures, in other sizes, and on the way through a room."""
+    last = observe - 1
+    windows = scale_movement(windows, probability=config.movement, last_observed=last)
+    windows = change_posture(
+        windows, probability=config.posture, seated=config.seated, last_observed=last
+    )
+    return travel(
+        windows,
+        probability=config.travel,
+        speed_mps=config.speed_mps,
+        turn_radps=config.turn_radps,
+        last_observed=last,
+    )
 
 
 def _turn(windows: Tensor, config: Augmentation) -> Tensor:

@@ -49,10 +49,12 @@ class PackedPerson:
     Attributes:
         decoder: the weights.
         gate: what is familiar; None: everything.
+        correction: of the base, on the points of the gate; None: none.
     """
 
     decoder: Packed
     gate: Packed | None
+    correction: Packed | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +113,7 @@ def forecast_fused(
         base.decoder,
         [None if person is None else person.decoder for person in people],
         [None if person is None else person.gate for person in people],
+        [None if person is None else person.correction for person in people],
         np.ascontiguousarray(windows, np.float64),
         displacement,
         share,

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from models.decoder import Decoder
@@ -74,13 +74,15 @@ def forecast_mixed(
     encoded = base.encode(window)
     groups = _group(personal)
     share, failures = _weigh(groups, encoded)
-    moved = _run_base(base, encoded, share < 1)
+    moved = _run_base(base, encoded, (share < 1) | _find_corrected(personal))
     for decoder, rows in groups:
         mine = [row for row in rows if row not in failures and float(share[row]) != 0]
         if not mine:
             continue
         try:
-            own = _roll(decoder.decoder, _pick(encoded, mine), base.spec.horizon)
+            part = _pick(encoded, mine)
+            own = _roll(decoder.decoder, part, base.spec.horizon)
+            own = decoder.correct(own, moved[mine], part.z)
         except NET_FAILURES as error:
             failures |= dict.fromkeys(mine, error)
         else:
@@ -112,6 +114,11 @@ def _weigh(
         except NET_FAILURES as error:
             failures |= dict.fromkeys(rows, error)
     return share, failures
+
+
+def _find_corrected(personal: Sequence[PersonalDecoder | None]) -> Bool[Tensor, " batch"]:
+    """Tell whose forecasts rest on the base's, however familiar a window is."""
+    return torch.tensor([one is not None and one.correction is not None for one in personal])
 
 
 def _run_base(base: Predictor, encoded: Encoded, needed: Tensor) -> Tensor:

@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from models.correction import Correction
 from models.decoder import Decoder
 from models.encoder import STREAMS, TokenAttention
 from models.familiarity import Familiarity
@@ -135,6 +136,21 @@ def pack_gate(gate: Familiarity) -> Packed:
         tiles,
     ]
     return _align(b"".join(np.ascontiguousarray(part, np.float32).tobytes() for part in parts))
+
+
+def pack_correction(correction: Correction) -> Packed:
+    """Lay a correction out, in 16 bits: the bumps of each point, then directions in tiles."""
+    coefficients, basis = correction.coefficients.numpy(), correction.basis.numpy()
+    points, rank = coefficients.shape
+    room = _pad(rank, 16)
+    header = np.zeros(16, np.float32)
+    header[:4] = rank, points, correction.width, correction.part
+    wide = np.pad(coefficients, ((0, 0), (0, room - rank)))
+    coordinates = basis.shape[1]
+    tall = np.pad(basis, ((0, room - rank), (0, _pad(coordinates, 16) - coordinates)))
+    tiles = tall.reshape(room, -1, 16).transpose(1, 0, 2)
+    parts = [np.ascontiguousarray(part, np.float16).tobytes() for part in (wide, tiles)]
+    return _align(header.tobytes() + b"".join(parts))
 
 
 def _find_is_folded(encoder: Packed) -> bool:

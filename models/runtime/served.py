@@ -12,7 +12,7 @@ from torch import Tensor
 from models.personal import PersonalDecoder
 from models.predictor import Predictor
 from models.runtime.fused import FusedForecast, PackedPerson, find_packed, forecast_fused
-from models.runtime.pack import PackedBase, pack_decoder, pack_gate
+from models.runtime.pack import PackedBase, pack_correction, pack_decoder, pack_gate
 
 
 @dataclass(frozen=True, slots=True, weakref_slot=True, eq=False)
@@ -44,8 +44,12 @@ def serve(personal: PersonalDecoder) -> PersonalDecoder | ServedDecoder:
     base = find_packed(personal.base)
     if base is None:
         return personal
-    gate = personal.familiarity
-    person = PackedPerson(pack_decoder(personal.decoder), None if gate is None else pack_gate(gate))
+    gate, correction = personal.familiarity, personal.correction
+    person = PackedPerson(
+        pack_decoder(personal.decoder),
+        None if gate is None else pack_gate(gate),
+        None if correction is None else pack_correction(correction),
+    )
     return ServedDecoder(personal.base, base, person, personal.metadata)
 
 

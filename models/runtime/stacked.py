@@ -21,6 +21,7 @@ from torch import Tensor, nn
 from torch.func import functional_call
 from torch.nn import functional
 
+from models.correction import RANK
 from models.decoder import Decoder
 from models.familiarity import DIRECTIONS, MOST_POINTS, SNAP
 from models.personal import PersonalDecoder
@@ -78,6 +79,7 @@ class _Slab:
 
     decoder: dict[str, Tensor]
     gate: dict[str, Tensor]
+    correction: dict[str, Tensor]
     graphs: dict[int, _Graph] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -115,6 +117,7 @@ class Stack:
             try:
                 _write(self._slab.decoder, row, dict(personal.decoder.named_parameters()))
                 _write(self._slab.gate, row, _lay_out_gate(personal))
+                _write(self._slab.correction, row, _lay_out_correction(personal))
             except BaseException:
                 self._free.append(row)
                 raise
@@ -160,10 +163,14 @@ class Stack:
     def _compute(self, windows: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
         """Give displacements from the last pose (metres) and shares; never waits for the device."""
         encoded = self._net.encode(windows)
-        share = _weigh({name: one[rows] for name, one in self._slab.gate.items()}, encoded.z)
+        gate = {name: one[rows] for name, one in self._slab.gate.items()}
+        apart = _measure(gate, encoded.z)
+        share = _weigh(gate, apart)
         own = self._roll({name: one[rows] for name, one in self._slab.decoder.items()}, encoded)
         horizon = self._net.spec.horizon
         of_base = self._net.decoder(encoded.z, encoded.c, encoded.seed, horizon=horizon)
+        correction = {name: one[rows] for name, one in self._slab.correction.items()}
+        own = _correct(correction, own, of_base, apart)
         part = share[:, None, None, None]
         mixed = torch.where(part == 0, of_base, torch.lerp(of_base, own, part))
         frames = self._net.normalizer.from_net(mixed, windows, encoded.placement)
@@ -206,7 +213,9 @@ class Stack:
     def _grow(self) -> None:
         """Give room to twice as many; graphs point to the old places and are captured again."""
         old, self._slab = self._slab, self._allocate(2 * len(self._slab))
-        for before, now in ((old.decoder, self._slab.decoder), (old.gate, self._slab.gate)):
+        new = self._slab
+        pairs = ((old.decoder, new.decoder), (old.gate, new.gate), (old.correction, new.correction))
+        for before, now in pairs:
             for name, tensor in before.items():
                 now[name][: len(old)] = tensor
         self._free.extend(range(len(self._slab) - 1, len(old) - 1, -1))
@@ -226,7 +235,18 @@ class Stack:
         gate["width"][_BASE] = gate["directions"][_BASE] = 1.0  # so that nothing is divided by 0
         parameters = self._net.decoder.named_parameters()
         decoder = {name: one.new_zeros(count, *one.shape) for name, one in parameters}
-        return _Slab(decoder, gate)
+        coordinates = 3 * self._net.spec.horizon * self._net.spec.joints
+        wanted = {
+            "coefficients": (MOST_POINTS, RANK),
+            "basis": (RANK, coordinates),
+            "width": (),
+            "part": (),
+        }
+        correction = {
+            name: torch.zeros(count, *one, device=self.device) for name, one in wanted.items()
+        }
+        correction["width"][_BASE] = 1.0  # so that nothing is divided by 0
+        return _Slab(decoder, gate, correction)
 
 
 def find_stack(base: object, device: str | None) -> Stack | None:
@@ -306,10 +326,37 @@ def _lay_out_gate(personal: PersonalDecoder) -> dict[str, Tensor]:
     return {"mean": mean, "axes": axes, "points": points, **tensors}
 
 
-def _weigh(gate: dict[str, Tensor], z: Tensor) -> Tensor:
-    """Give each row's share by its own gate; see `familiarity.Familiarity.share`."""
+def _lay_out_correction(personal: PersonalDecoder) -> dict[str, Tensor]:
+    """Give a correction as tensors of fixed sizes; without one, it has no part."""
+    spec, correction = personal.base.spec, personal.correction
+    coefficients = torch.zeros(MOST_POINTS, RANK)
+    basis = torch.zeros(RANK, 3 * spec.horizon * spec.joints)
+    width, part = 1.0, 0.0
+    if correction is not None:
+        points, rank = correction.coefficients.shape
+        coefficients[:points, :rank], basis[:rank] = correction.coefficients, correction.basis
+        width, part = correction.width, correction.part
+    numbers = {"width": torch.tensor(width), "part": torch.tensor(part)}
+    return {"coefficients": coefficients, "basis": basis, **numbers}
+
+
+def _measure(gate: dict[str, Tensor], z: Tensor) -> Tensor:
+    """Give each row's squared distances to the points of its gate; see `Familiarity.measure`."""
     along = torch.einsum("bz,bzd->bd", z - gate["mean"], gate["axes"])
-    apart = (along[:, None] - gate["points"]).square().sum(dim=-1).amin(dim=-1)
-    distance = (apart / gate["directions"]).sqrt()
+    apart = (along[:, None] - gate["points"]).square().sum(dim=-1)
+    return apart / gate["directions"][:, None]
+
+
+def _correct(correction: dict[str, Tensor], own: Tensor, of_base: Tensor, apart: Tensor) -> Tensor:
+    """Give each row's corrected base its part; see `PersonalDecoder.correct`."""
+    near = torch.exp(apart / (-2 * correction["width"][:, None] ** 2))
+    amounts = torch.einsum("bp,bpr->br", near, correction["coefficients"])
+    added = torch.einsum("br,brc->bc", amounts, correction["basis"]).view_as(own)
+    return torch.lerp(own, of_base + added, correction["part"][:, None, None, None])
+
+
+def _weigh(gate: dict[str, Tensor], apart: Tensor) -> Tensor:
+    """Give each row's share by its own gate; see `familiarity.Familiarity.share`."""
+    distance = apart.amin(dim=-1).sqrt()
     share = torch.sigmoid((gate["half"] - distance) / gate["width"])
     return ((share - SNAP) / (1 - 2 * SNAP)).clamp(0, 1) * gate["most"]

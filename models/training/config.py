@@ -24,6 +24,9 @@ class PretrainConfig:
         symmetric: keep the weights symmetric, so that mirrored people get mirrored forecasts.
         label_weight: weight of the cross-entropy between the categorical latent and the actions.
         label_source: the source whose actions the categories are taught; others have no labels.
+        moment_weight: weight of the cross-entropy between z and the moments of these actions, see
+            `moments`.
+        moments: parts of an action that are told apart.
         adversarial_weight: weight of the encoder's side of the min-max game; 0 switches it off.
         adversarial_start: share of the steps before the game begins, so that the reconstruction has
             settled; the weight then rises linearly over as many steps again.
@@ -38,7 +41,7 @@ class PretrainConfig:
 
     net: NetConfig = field(default_factory=NetConfig)
     augmentation: Augmentation = field(default_factory=Augmentation)
-    steps: int = 2_500
+    steps: int = 3_500
     batch: int = 128
     learning_rate: float = 2e-3
     warm_up: float = 0.15
@@ -48,6 +51,8 @@ class PretrainConfig:
     symmetric: bool = True
     label_weight: float = 0.02
     label_source: str = "utd-mhad"
+    moment_weight: float = 0.02
+    moments: int = 5
     adversarial_weight: float = 1e-3
     adversarial_start: float = 0.1
     adversary_rate: float = 5e-4

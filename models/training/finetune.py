@@ -63,6 +63,9 @@ class FinetuneConfig:
             tempo=0.0,
             slow=0.0,
             still=0.0,
+            posture=0.0,
+            movement=0.0,
+            travel=0.0,
         )
     )
     average: float = 0.98
@@ -104,6 +107,11 @@ class Encodings:
         """Give some of the windows, by index or mask."""
         return Encodings(self.z[chosen], self.c[chosen], self.seed[chosen], self.target[chosen])
 
+    def split(self, most: int) -> "list[Encodings]":
+        """Give the windows in parts of at most so many."""
+        parts = (part.split(most) for part in (self.z, self.c, self.seed, self.target))
+        return [Encodings(*part) for part in zip(*parts, strict=True)]
+
 
 @torch.no_grad()
 def encode_windows(
@@ -120,14 +128,31 @@ def encode_windows(
     return join_encodings(parts)
 
 
+def encode_plain(predictor: Predictor, clips: Sequence[Clip]) -> Encodings:
+    """Cut clips into windows and encode each as it was recorded.
+
+    Raises:
+        ValueError: no clip is as long as a window.
+    """
+    return encode_windows(predictor, _cut(clips, predictor))
+
+
+@torch.no_grad()
+def find_missed(predictor: Predictor, encodings: Encodings) -> Float[Tensor, "window coordinate"]:
+    """Say what the base misses on some windows: displacements in normalised units."""
+    horizon, scale = predictor.spec.horizon, predictor.normalizer.scales[0]
+    parts = encodings.split(_ENCODE_BATCH)
+    made = [predictor.decoder(part.z, part.c, part.seed, horizon=horizon) for part in parts]
+    return (encodings.target / scale - torch.cat(made)).flatten(1)
+
+
 def encode_clips(predictor: Predictor, clips: Sequence[Clip], config: FinetuneConfig) -> Encodings:
     """Cut clips into windows and encode some augmented versions of each.
 
     Raises:
         ValueError: no clip is as long as a window.
     """
-    cut = cut_windows(clips, predictor.spec)
-    whole = torch.cat([torch.as_tensor(cut.observed), torch.as_tensor(cut.future)], dim=1)
+    whole = _cut(clips, predictor)
     whole = whole[:: math.ceil(len(whole) / config.most)]
     copies = min(config.copies, max(1, config.most // len(whole)))
     return join_encodings(
@@ -203,6 +228,11 @@ def blend(base: Decoder, fitted: Decoder, share: float) -> Decoder:
     for weight, target in parts:
         weight.lerp_(target, share)
     return mixed
+
+
+def _cut(clips: Sequence[Clip], predictor: Predictor) -> Float[Tensor, "window time joint 3"]:
+    cut = cut_windows(clips, predictor.spec)
+    return torch.cat([torch.as_tensor(cut.observed), torch.as_tensor(cut.future)], dim=1)
 
 
 def _groups(decoder: Decoder, config: FinetuneConfig) -> list[dict[str, object]]:

@@ -22,6 +22,7 @@ from models.losses import label_loss, reconstruction_loss
 from models.predictor import Predictor
 from models.symmetry import Symmetry
 from models.training.config import PretrainConfig
+from models.training.moments import MomentReader
 from models.training.sampler import Drawn, WindowSampler
 
 _GRADIENT_NORM_OF_ADVERSARY = 5.0
@@ -70,8 +71,12 @@ class Trainer:
             categories=config.net.categories,
             hidden=config.adversary_hidden,
         ).to(device)
+        self.reader = self._make_reader()
+        trained = [self.net] if self.reader is None else [self.net, self.reader]
         self.optimizer = torch.optim.AdamW(
-            self.net.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
+            [weight for part in trained for weight in part.parameters()],
+            lr=config.learning_rate,
+            weight_decay=config.weight_decay,
         )
         self.adversary_optimizer = torch.optim.Adam(
             self.adversary.parameters(), lr=config.adversary_rate, betas=(0.5, 0.999)
@@ -86,6 +91,15 @@ class Trainer:
     def make_symmetry(self) -> Symmetry:
         """Tell how mirroring acts on the net."""
         return Symmetry(self.net)
+
+    def _make_reader(self) -> MomentReader | None:
+        """Make what teaches z moments, where there are any to teach."""
+        count = len(self.sampler.labels) * self.sampler.moments
+        if count == 0 or self.config.moment_weight == 0:
+            return None
+        size, symmetric = self.config.net.continuous, self.config.symmetric
+        reader = MomentReader(continuous=size, moments=count, symmetric=symmetric)
+        return reader.to(self.device)
 
     def measure(self, forecast: Tensor, future: Tensor) -> Tensor:
         """Give the loss of a batch of forecasts."""
@@ -103,13 +117,20 @@ class Trainer:
         weight = self.config.adversarial_weight_at(self.step)
         total = loss
         if self.config.label_weight > 0:
-            total = total + self.config.label_weight * label_loss(encoded.c, drawn.labels)
+            total = total + self.config.label_weight * label_loss(encoded.c, self._actions(drawn))
+        if self.reader is not None:
+            total = total + self.config.moment_weight * self.reader.loss(encoded.z, drawn.labels)
         if weight > 0:
             total = total + weight * self.adversary.encoder_loss(encoded.z, encoded.c)
         self._descend(total)
         fooled = self._train_adversary(encoded.z, encoded.c) if weight > 0 else 0.0
         self.step += 1
         return float(loss.detach()), fooled
+
+    def _actions(self, drawn: Drawn) -> Float[Tensor, "batch action"]:
+        """Tell the actions of a batch, whatever part of them a window shows."""
+        shape = (len(drawn.labels), len(self.sampler.labels), self.sampler.moments)
+        return drawn.labels.view(shape).sum(2)
 
     def _descend(self, loss: Float[Tensor, ""]) -> None:
         for group in self.optimizer.param_groups:
@@ -168,7 +189,12 @@ class Trainer:
         return extra
 
     def _modules(self) -> dict[str, nn.Module]:
-        return {"net": self.net, "average": self.average, "adversary": self.adversary}
+        kept: dict[str, nn.Module] = {
+            "net": self.net,
+            "average": self.average,
+            "adversary": self.adversary,
+        }
+        return kept if self.reader is None else kept | {"reader": self.reader}
 
     def _optimizers(self) -> dict[str, torch.optim.Optimizer]:
         return {"adamw": self.optimizer, "adam": self.adversary_optimizer}

@@ -74,6 +74,7 @@ def pretrain(
             slow=config.augmentation.slow,
             device=device,
             labels=list_actions(split.train, config.label_source),
+            moments=config.moments,
         )
         trainer = trainer_type(config, sampler, device=device)
         windows = _validation_windows(split.held_out, spec)

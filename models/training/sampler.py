@@ -19,11 +19,12 @@ class Drawn:
 
     Attributes:
         windows: observed and future frames, metres.
-        labels: 1 for the action of a window, 0 for the others; all 0 where nobody named it.
+        labels: 1 for the moment that a window shows (its action, and which part of it: those of one
+            action stand together), 0 for the others; all 0 where nobody named the action.
     """
 
     windows: Float[Tensor, "batch time joint 3"]
-    labels: Float[Tensor, "batch action"]
+    labels: Float[Tensor, "batch moment"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,13 +35,13 @@ class _Group:
         share: windows of it in a batch.
         starts: where each window begins.
         room: frames that its clip has from there.
-        action: place of its action among the labels; -1 for none.
+        moment: place of its moment among all; -1 for none.
     """
 
     share: int
     starts: Int[Tensor, " windows"]
     room: Int[Tensor, " windows"]
-    action: Int[Tensor, " windows"]
+    moment: Int[Tensor, " windows"]
 
 
 class WindowSampler:
@@ -57,6 +58,7 @@ class WindowSampler:
         slow: probability of a speed anywhere between 0 and 1 instead, so that no pose by itself
             means that motion must follow.
         labels: the actions, as (source, action), that windows are labelled with.
+        moments: into how many parts of equal length an action is divided.
         device: where the frames are kept.
 
     Raises:
@@ -75,6 +77,7 @@ class WindowSampler:
         slow: float,
         device: torch.device,
         labels: Sequence[tuple[str, str]] = (),
+        moments: int = 1,
     ) -> None:
         usable = [clip for clip in clips if len(clip.poses) >= length]
         if not usable:
@@ -83,10 +86,11 @@ class WindowSampler:
         self.tempo = tempo
         self.slow = slow
         self.labels = tuple(labels)
+        self.moments = moments
         self.frames = torch.cat([torch.as_tensor(clip.poses) for clip in usable]).to(device)
         counts = _windows_by_source(usable, batch=batch, shares=shares)
         self.groups = {
-            source: _group(usable, source, count, length, self.labels)
+            source: _group(usable, source, count, length, self.labels, moments)
             for source, count in counts.items()
         }
         self.parts = _join(list(self.groups), pools)
@@ -111,7 +115,8 @@ class WindowSampler:
         after = torch.minimum(before + 1, (room - 1)[:, None])
         part = (at - before)[..., None, None]
         first, second = self.frames[start[:, None] + before], self.frames[start[:, None] + after]
-        labels = functional.one_hot(group.action[chosen] + 1, len(self.labels) + 1)[:, 1:]
+        count = len(self.labels) * self.moments
+        labels = functional.one_hot(group.moment[chosen] + 1, count + 1)[:, 1:]
         return Drawn(first + part * (second - first), labels.float())
 
 
@@ -156,15 +161,18 @@ def _group(
     share: int,
     length: int,
     labels: Sequence[tuple[str, str]],
+    moments: int,
 ) -> _Group:
     place = {label: index for index, label in enumerate(labels)}
-    starts, rooms, actions, offset = [], [], [], 0
+    starts, rooms, shown, offset = [], [], [], 0
     for clip in clips:
         frames = len(clip.poses)
         if clip.source == source:
             first = torch.arange(frames - length + 1)
             starts.append(offset + first)
             rooms.append(frames - first)
-            actions.append(torch.full_like(first, place.get((source, clip.action), -1)))
+            action = place.get((source, clip.action), -1)
+            part = (first + length // 2) * moments // frames
+            shown.append(action * moments + part if action >= 0 else torch.full_like(first, -1))
         offset += frames
-    return _Group(share, torch.cat(starts), torch.cat(rooms), torch.cat(actions))
+    return _Group(share, torch.cat(starts), torch.cat(rooms), torch.cat(shown))

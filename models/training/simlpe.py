@@ -33,7 +33,7 @@ _OURS = PretrainConfig()
 _FITTING_DRAWS = 8
 _CALM = Augmentation(
     tilt_rad=0.0, bones=0.0, offset_m=0.0, noise_m=0.0, still=0.0, tempo=0.0, slow=0.0,
-    flicker=0.0, mix=0.0,
+    flicker=0.0, mix=0.0, posture=0.0, movement=0.0, travel=0.0,
 )  # fmt: skip
 MILD = replace(_CALM, mirror=0.5, yaw_rad=0.6, scale=0.1)
 """Sides, heading and size: with it the left-out subject is foreseen better than with the base's."""

@@ -29,6 +29,7 @@
 #define HEADER 64
 #define MAGIC 0x4b494e45
 #define SNAP 0.01f
+#define LISTS 3 /* decoders, gates, corrections */
 
 /* What the matrices of a decoder, or of the encoder, are kept in. */
 enum { FLOAT32, FLOAT16, BFLOAT16, KINDS };
@@ -37,7 +38,9 @@ typedef struct {
     const char *name;
     void (*encode[KINDS])(const Shape *, const char *, int, const double *, Encoded *, int); /* not FLOAT16 */
     void (*decode[KINDS])(const Shape *, const char *, const Encoded *const *, float *const *, int);
-    float (*distance)(const float *, const float *, int, int, int);
+    float (*distance)(const float *, const float *, int, int, int, float *);
+    void (*recall)(const float *, const float *, int, float *);
+    void (*correct)(const float *, const float *, const float *, float *, int);
     float (*read)(const float *, size_t, int);
     float (*read_half)(const uint16_t *, size_t, int);
     float (*read_brief)(const uint16_t *, size_t, int);
@@ -47,10 +50,10 @@ typedef struct {
 
 static const Processor PROCESSORS[] = {
     {"avx512", {encode_avx512_full, NULL, encode_avx512_brief},
-     {decode_avx512_full, decode_avx512_half, decode_avx512_brief}, distance_avx512, read_avx512,
-     read_half_avx512, read_brief_avx512, calculate_avx512, &lanes_avx512},
+     {decode_avx512_full, decode_avx512_half, decode_avx512_brief}, distance_avx512, recall_avx512,
+     correct_avx512, read_avx512, read_half_avx512, read_brief_avx512, calculate_avx512, &lanes_avx512},
     {"avx2", {encode_avx2_full, NULL, encode_avx2_brief}, {decode_avx2_full, decode_avx2_half, decode_avx2_brief},
-     distance_avx2, read_avx2, read_half_avx2, read_brief_avx2, calculate_avx2, &lanes_avx2},
+     distance_avx2, recall_avx2, correct_avx2, read_avx2, read_half_avx2, read_brief_avx2, calculate_avx2, &lanes_avx2},
 };
 enum { KNOWN = sizeof PROCESSORS / sizeof *PROCESSORS };
 
@@ -70,10 +73,13 @@ typedef struct {
     const char *encoder, *base;
     const char **decoders; /* of each window; NULL: the base alone */
     const float **gates;   /* of each window; NULL: everything is familiar */
+    const float **corrections; /* of each window, on the points of its gate; NULL: none */
     const double *windows;
     float *displacement, *share, *fastest;
     Encoded *encoded;
     float *own;
+    float *apart;   /* squared distances of a window to the points of its gate */
+    float *amounts; /* MAX_RANK for each window, of its correction */
     int count;
 } Call;
 
@@ -90,8 +96,10 @@ static float weigh(const Call *call, int row) {
     if (!call->decoders[row]) return 0.0f;
     const float *gate = call->gates[row];
     if (!gate) return 1.0f;
+    const float *correction = call->corrections[row];
     const float distance = call->processor->distance(
-        gate + 16, call->encoded[row].z, call->shape->z, (int)gate[0], (int)gate[1]);
+        gate + 16, call->encoded[row].z, call->shape->z, (int)gate[0], (int)gate[1], correction ? call->apart : NULL);
+    if (correction) call->processor->recall(correction, call->apart, (int)gate[0], call->amounts + row * MAX_RANK);
     float share = 1.0f / (1.0f + expf((distance - gate[2]) / gate[3]));
     share = (share - SNAP) / (1 - 2 * SNAP);
     return share < 0.0f ? 0.0f : share > 1.0f ? 1.0f : share;
@@ -140,7 +148,7 @@ static void run(Call *call, const Encoded **encoded, float **out, char *done) {
     for (int row = 0; row < call->count; row++) {
         call->share[row] = weigh(call, row);
         done[row] = !(call->share[row] != 0.0f);
-        if (!(call->share[row] < 1.0f)) continue;
+        if (!(call->share[row] < 1.0f) && !call->corrections[row]) continue;
         encoded[count] = call->encoded + row, out[count++] = call->displacement + (size_t)row * size;
     }
     if (count) roll_out(call, call->base, encoded, out, count);
@@ -156,7 +164,10 @@ static void run(Call *call, const Encoded **encoded, float **out, char *done) {
     }
     for (int row = 0; row < call->count; row++) {
         float *answer = call->displacement + (size_t)row * size;
-        const float share = call->share[row];
+        const float share = call->share[row], *correction = call->corrections[row];
+        if (correction && share != 0.0f)
+            call->processor->correct(
+                correction, call->amounts + row * MAX_RANK, answer, call->own + (size_t)row * size, size);
         if (!(share < 1.0f)) memcpy(answer, call->own + (size_t)row * size, size * sizeof(float));
         else if (share > 0.0f) mix(answer, call->own + (size_t)row * size, share, size);
         turn_back(s, call->encoded + row, answer);
@@ -185,7 +196,7 @@ static int check_decoder(const Shape *s, const Py_buffer *view) {
 
 static int check_gate(const Shape *s, const Py_buffer *view) {
     const float *gate = view->buf;
-    if (view->len >= HEADER && gate[0] >= 1 && gate[0] <= TILE && gate[1] >= 1 && gate[1] <= 1e6) {
+    if (view->len >= HEADER && gate[0] >= 1 && gate[0] <= TILE && gate[1] >= 1 && gate[1] <= MAX_POINTS) {
         const int directions = (int)gate[0];
         const size_t size = padded(s->z, 16) + (size_t)s->z * padded(directions, 16) +
                             (size_t)padded((int)gate[1], 16) * directions;
@@ -193,6 +204,29 @@ static int check_gate(const Shape *s, const Py_buffer *view) {
     }
     PyErr_SetString(PyExc_ValueError, "not a gate of this shape");
     return -1;
+}
+
+static int check_correction(const Shape *s, const Py_buffer *view) {
+    const float *correction = view->buf;
+    if (view->len >= HEADER && correction[0] >= 1 && correction[0] <= MAX_RANK && correction[1] >= 1 &&
+        correction[1] <= MAX_POINTS) {
+        const size_t rank = padded((int)correction[0], 16);
+        const size_t size = rank * (size_t)correction[1] + rank * padded(3 * s->horizon * s->joints, 16);
+        if ((size_t)view->len == HEADER + size * sizeof(uint16_t)) return 0;
+    }
+    PyErr_SetString(PyExc_ValueError, "not a correction of this shape");
+    return -1;
+}
+
+/* Whether every correction stands on the points of its window's gate. */
+static int check_pairs(const Call *call) {
+    for (int row = 0; row < call->count; row++) {
+        const float *gate = call->gates[row], *correction = call->corrections[row];
+        if (!correction || (call->decoders[row] && gate && gate[1] == correction[1])) continue;
+        PyErr_SetString(PyExc_ValueError, "a correction without the gate that it stands on");
+        return -1;
+    }
+    return 0;
 }
 
 static int is_joint(const Shape *s, int joint) { return joint >= 0 && joint < s->joints; }
@@ -284,43 +318,52 @@ static int compute(Call *call) {
     char *done = malloc(count);
     call->encoded = malloc(count * sizeof *call->encoded);
     call->own = malloc(count * size * sizeof *call->own);
-    const int has_room = encoded && out && done && call->encoded && call->own;
+    call->apart = malloc(MAX_POINTS * sizeof *call->apart);
+    call->amounts = malloc(count * MAX_RANK * sizeof *call->amounts);
+    const int has_room =
+        encoded && out && done && call->encoded && call->own && call->apart && call->amounts;
     if (has_room) {
         Py_BEGIN_ALLOW_THREADS run(call, encoded, out, done);
         Py_END_ALLOW_THREADS
     }
     free(encoded), free(out), free(done), free(call->encoded), free(call->own);
+    free(call->apart), free(call->amounts);
     if (!has_room) PyErr_NoMemory();
     return has_room ? 0 : -1;
 }
 
-static int compute_lists(Call *call, PyObject *decoders, PyObject *gates) {
+/* Everything that there is one of per window. */
+static int compute_lists(Call *call, PyObject *const *lists) {
+    int (*const checks[LISTS])(const Shape *, const Py_buffer *) = {check_decoder, check_gate, check_correction};
     const Py_ssize_t count = call->count;
-    Py_buffer *views = PyMem_Malloc(2 * (count + 1) * sizeof *views);
-    const void **pointers = PyMem_Malloc(2 * (count + 1) * sizeof *pointers);
+    Py_buffer *views = PyMem_Malloc(LISTS * (count + 1) * sizeof *views);
+    const void **pointers = PyMem_Malloc(LISTS * (count + 1) * sizeof *pointers);
+    Py_ssize_t taken = 0, more = 0;
     int result = -1;
     if (!views || !pointers) {
         PyErr_NoMemory();
         goto free_all;
     }
-    const Py_ssize_t taken = borrow(decoders, count, views, pointers, call->shape, check_decoder);
-    if (taken < 0) goto free_all;
-    const Py_ssize_t more = borrow(gates, count, views + taken, pointers + count, call->shape, check_gate);
-    if (more >= 0) {
-        call->decoders = (const char **)pointers, call->gates = (const float **)(pointers + count);
-        result = compute(call);
+    for (int list = 0; list < LISTS && more >= 0; list++) {
+        more = borrow(lists[list], count, views + taken, pointers + list * count, call->shape, checks[list]);
+        taken += more > 0 ? more : 0;
     }
-    for (Py_ssize_t i = 0; i < taken + (more < 0 ? 0 : more); i++) PyBuffer_Release(&views[i]);
+    call->decoders = (const char **)pointers, call->gates = (const float **)(pointers + count);
+    call->corrections = (const float **)(pointers + 2 * count);
+    if (more >= 0 && check_pairs(call) == 0) result = compute(call);
+    for (Py_ssize_t i = 0; i < taken; i++) PyBuffer_Release(&views[i]);
 free_all:
     PyMem_Free(views), PyMem_Free(pointers);
     return result;
 }
 
 PyDoc_STRVAR(forecast_doc,
-    "forecast(processor, shape, encoder, base, decoders, gates, windows, displacement, share, fastest)\n--\n\n"
+    "forecast(processor, shape, encoder, base, decoders, gates, corrections, windows, displacement, share, fastest)\n"
+    "--\n\n"
     "Forecast windows, each by its own decoder as far as its gate finds it familiar, else by the base.\n\n"
     "processor: index into `processors`. shape: as `pack.py` gives it, like encoder, base, the list of\n"
-    "decoders and the list of gates (None for none). windows: float64 [n, observe, joints, 3], metres.\n"
+    "decoders, the list of gates and that of corrections (None for none). windows: float64\n"
+    "[n, observe, joints, 3], metres.\n"
     "displacement: float32 [n, horizon, joints, 3], is filled with metres from the last pose.\n"
     "share: float32 [n], is filled with the part that the own decoder has.\n"
     "fastest: float32 [n], is filled with the largest squared step of any joint, metres.");
@@ -328,24 +371,24 @@ PyDoc_STRVAR(forecast_doc,
 static PyObject *forecast(PyObject *module, PyObject *args) {
     (void)module;
     Py_buffer shape, encoder, base, windows, displacement, share, fastest;
-    PyObject *decoders, *gates, *result = NULL;
+    PyObject *lists[LISTS], *result = NULL;
     Call call = {0};
     int processor;
-    if (!PyArg_ParseTuple(args, "iy*y*y*O!O!y*w*w*w*", &processor, &shape, &encoder, &base, &PyList_Type,
-                          &decoders, &PyList_Type, &gates, &windows, &displacement, &share, &fastest))
+    if (!PyArg_ParseTuple(args, "iy*y*y*O!O!O!y*w*w*w*", &processor, &shape, &encoder, &base, &PyList_Type, lists,
+                          &PyList_Type, lists + 1, &PyList_Type, lists + 2, &windows, &displacement, &share, &fastest))
         return NULL;
     call.shape = shape.buf, call.encoder = encoder.buf, call.base = base.buf, call.windows = windows.buf;
     call.displacement = displacement.buf, call.share = share.buf, call.fastest = fastest.buf;
-    call.count = (int)PyList_GET_SIZE(decoders);
+    call.count = (int)PyList_GET_SIZE(lists[0]);
     if (processor < 0 || processor >= KNOWN || !is_here(processor))
         PyErr_SetString(PyExc_ValueError, "this processor has no such instructions");
-    else if (PyList_GET_SIZE(gates) != call.count)
-        PyErr_SetString(PyExc_ValueError, "as many gates as decoders are needed");
+    else if (PyList_GET_SIZE(lists[1]) != call.count || PyList_GET_SIZE(lists[2]) != call.count)
+        PyErr_SetString(PyExc_ValueError, "as many gates and corrections as decoders are needed");
     else if (check_shape(&shape) == 0 && check_encoder(call.shape, &encoder) == 0 &&
              check_decoder(call.shape, &base) == 0 &&
              check_arrays(&call, &windows, &displacement, &share, &fastest) == 0) {
         call.processor = &PROCESSORS[processor];
-        if (compute_lists(&call, decoders, gates) == 0) result = Py_NewRef(Py_None);
+        if (compute_lists(&call, lists) == 0) result = Py_NewRef(Py_None);
     }
     PyBuffer_Release(&shape), PyBuffer_Release(&encoder), PyBuffer_Release(&base);
     PyBuffer_Release(&windows), PyBuffer_Release(&displacement), PyBuffer_Release(&share);

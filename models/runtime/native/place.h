@@ -46,8 +46,10 @@ static void NAME(place)(const Shape *s, const double *window, Encoded *out, NAME
     memcpy(out->seed, in[0][frames - 1], coordinates * sizeof(float));
 }
 
-/* Root mean square distance, per direction, of a latent to the nearest point of a gate. */
-static TARGET float NAME(distance)(const float *gate, const float *z, int size, int directions, int points) {
+/* Root mean square distance, per direction, of a latent to the nearest point of a gate. Into `apart`, unless
+   it is NULL, go the squared distances of all of them, in whole tiles. */
+static TARGET float NAME(distance)(
+    const float *gate, const float *z, int size, int directions, int points, float *apart) {
     float along[2 * TILE] = {0};
     const float *mean = gate, *axes = gate + padded(size, 16), *point = axes + size * padded(directions, 16);
     for (int k = 0; k < size; k++) {
@@ -60,9 +62,10 @@ static TARGET float NAME(distance)(const float *gate, const float *z, int size, 
         for (int part = 0; part < 16; part += LANES) {
             VEC sum = ZERO();
             for (int i = 0; i < directions; i++) {
-                const VEC apart = SUB(SET1(along[i]), LOAD(point + 16 * i + part));
-                sum = FMA(apart, apart, sum);
+                const VEC way = SUB(SET1(along[i]), LOAD(point + 16 * i + part));
+                sum = FMA(way, way, sum);
             }
+            if (apart) STORE(apart + tile + part, sum);
             least = MIN(least, sum);
         }
     }
@@ -70,4 +73,40 @@ static TARGET float NAME(distance)(const float *gate, const float *z, int size, 
     STORE(found, least);
     for (int i = 0; i < LANES; i++) nearest = found[i] >= nearest ? nearest : found[i];
     return sqrtf(nearest / directions);
+}
+
+/* How much of each direction of a correction a window gets, from its squared distances to the points. */
+static TARGET void NAME(recall)(const float *correction, const float *apart, int directions, float *amounts) {
+    const int rank = padded((int)correction[0], 16), points = (int)correction[1];
+    const VEC scale = SET1(-0.5f / (directions * correction[2] * correction[2]));
+    const uint16_t *coefficients = (const uint16_t *)(correction + 16);
+    VEC sum[MAX_RANK / LANES];
+    for (int v = 0; v < rank / LANES; v++) sum[v] = ZERO();
+    for (int tile = 0; tile < points; tile += 16) {
+        float near[16];
+        for (int part = 0; part < 16; part += LANES)
+            STORE(near + part, NAME(exponential)(MUL(scale, LOAD(apart + tile + part))));
+        for (int i = 0; i < 16 && tile + i < points; i++, coefficients += rank)
+            for (int v = 0; v < rank / LANES; v++)
+                sum[v] = FMA(SET1(near[i]), LOAD_HALF(coefficients + v * LANES), sum[v]);
+    }
+    for (int v = 0; v < rank / LANES; v++) STORE(amounts + v * LANES, sum[v]);
+}
+
+/* Give the corrected base its part in what a person's decoder says: `size` numbers, in tiles of 16. */
+static TARGET void NAME(correct)(
+    const float *correction, const float *amounts, const float *of_base, float *own, int size) {
+    const int rank = padded((int)correction[0], 16), points = (int)correction[1];
+    const uint16_t *basis = (const uint16_t *)(correction + 16) + (size_t)points * rank;
+    const float share = correction[3];
+    for (int first = 0; first < size; first += 16, basis += 16 * rank) {
+        float add[16];
+        for (int part = 0; part < 16; part += LANES) {
+            VEC sum = ZERO();
+            for (int r = 0; r < rank; r++) sum = FMA(SET1(amounts[r]), LOAD_HALF(basis + 16 * r + part), sum);
+            STORE(add + part, sum);
+        }
+        for (int i = 0; i < 16 && first + i < size; i++)
+            own[first + i] += share * (of_base[first + i] + add[i] - own[first + i]);
+    }
 }

@@ -14,6 +14,8 @@
 #define MAX_C 64
 #define MAX_SPL 64
 #define MAX_HEADS 16
+#define MAX_RANK 64 /* directions of a correction */
+#define MAX_POINTS 65536 /* of a gate */
 #define MAX_INPUTS (3 * MAX_JOINTS + TOKENS * MAX_TOKEN + TILE)
 
 /* As Python's `struct` gives it: int32, then float32. `order` lists joints, parents first; `parent`

@@ -1,15 +1,22 @@
 """The closed-form correction of the base."""
 
+import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
+from models import correction as module
+from models.baselines.closed_form import KernelCorrection
 from models.checkpoint import SHIPPED, load_checkpoint
-from models.correction import KernelCorrection
+from models.correction import Correction
 from models.data.clips import Clip
 from models.data.synthetic import synthetic_clips
 from models.data.windows import cut_windows
+from models.familiarity import Familiarity
 from models.predictor import Predictor
 from models.training.evaluate import score_forecaster
 
@@ -59,3 +66,60 @@ def test_clips_shorter_than_a_window_are_refused(base: Predictor, takes: Sequenc
     short = [Clip(takes[0].poses[:20], "1", "wave", "1", "synthetic")]
     with pytest.raises(ValueError, match="window"):
         KernelCorrection.fit(base, short)
+
+
+COORDINATES = 12
+
+
+def make_gate(count: int) -> Familiarity:
+    return Familiarity.fit(torch.randn(count, 8, generator=torch.manual_seed(0)))
+
+
+def test_what_was_missed_is_given_back_where_it_was_missed() -> None:
+    z = torch.randn(40, 8, generator=torch.manual_seed(0))
+    missed = z @ torch.randn(8, COORDINATES, generator=torch.manual_seed(1))
+    gate = make_gate(40)
+    found = Correction.fit(gate, z, missed, strength=1e-3)
+    assert (found(gate.measure(z)) - missed).square().mean() < 0.05 * missed.square().mean()
+    far = found(gate.measure(z + 100))
+    assert far.abs().max() < 1e-6
+
+
+def test_long_recordings_are_thinned_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "MOST_CENTRES", 10)
+    monkeypatch.setattr(module, "MOST_WINDOWS", 20)
+    z = torch.randn(50, 8, generator=torch.manual_seed(0))
+    found = Correction.fit(make_gate(50), z, z @ torch.ones(8, COORDINATES))
+    assert found.coefficients.shape[0] == 50
+    assert (found.coefficients.abs().sum(dim=1) > 0).sum() <= 10
+
+
+@given(points=st.integers(1, 30), width=st.floats(0.1, 3.0), part=st.floats(0, 1))
+def test_a_correction_comes_back_as_it_was_stored(points: int, width: float, part: float) -> None:
+    z = torch.randn(points, 8, generator=torch.manual_seed(points))
+    gate = Familiarity.fit(z)
+    made = replace(Correction.fit(gate, z, z @ torch.ones(8, COORDINATES)), width=width, part=part)
+    again = Correction.restore(
+        made.tensors(), made.describe(), points=points, coordinates=COORDINATES
+    )
+    assert torch.equal(again(gate.measure(z)), made(gate.measure(z)))
+    assert again.part == part
+
+
+@pytest.mark.parametrize(
+    ("described", "points", "coordinates"),
+    [
+        ({"width": 1.0, "part": 0.4}, 6, COORDINATES),
+        ({"width": 1.0, "part": 0.4}, 5, COORDINATES + 1),
+        ({"width": 0.0, "part": 0.4}, 5, COORDINATES),
+        ({"width": math.inf, "part": 0.4}, 5, COORDINATES),
+        ({"width": 1.0, "part": 1.5}, 5, COORDINATES),
+    ],
+)
+def test_parts_that_do_not_fit_are_refused(
+    described: dict[str, float], points: int, coordinates: int
+) -> None:
+    z = torch.randn(5, 8, generator=torch.manual_seed(0))
+    made = Correction.fit(Familiarity.fit(z), z, z @ torch.ones(8, COORDINATES))
+    with pytest.raises(ValueError, match="it"):
+        Correction.restore(made.tensors(), described, points=points, coordinates=coordinates)

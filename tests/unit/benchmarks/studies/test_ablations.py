@@ -7,6 +7,7 @@ from benchmarks.studies.ablations import PARTS, ablate, make_trainer, without_au
 from benchmarks.studies.recordings import read_person
 from benchmarks.studies.thaw import GatedNet, blend_nets, thaw
 from models.familiarity import Familiarity
+from models.personal import PersonalDecoder
 from models.predictor import Predictor
 from models.training.config import PretrainConfig
 from models.training.finetune import FinetuneConfig
@@ -104,5 +105,5 @@ def test_the_whole_net_is_fitted_and_blended(net, place):
     windows = make_windows()
     assert torch.allclose(blend_nets(net, fitted, 1.0)(windows), fitted(windows), atol=1e-5)
     gate = Familiarity.fit(net.encode(windows).z + 1e6)
-    gated = GatedNet(net, fitted, gate)
+    gated = GatedNet(PersonalDecoder(net, net.decoder, gate, {}), fitted)
     assert torch.equal(gated(windows), net(windows))

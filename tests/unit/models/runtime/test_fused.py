@@ -9,6 +9,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from models.correction import Correction
 from models.decoder import Decoder
 from models.familiarity import Familiarity, FamiliarityRule
 from models.personal import PersonalDecoder
@@ -16,7 +17,14 @@ from models.predictor import NetConfig, Predictor
 from models.rounding import round_matrices
 from models.runtime import fused
 from models.runtime.fused import KERNEL, PROCESSORS, PackedPerson, find_packed, forecast_fused
-from models.runtime.pack import KINDS, Packed, find_packed_kind, pack_decoder, pack_gate
+from models.runtime.pack import (
+    KINDS,
+    Packed,
+    find_packed_kind,
+    pack_correction,
+    pack_decoder,
+    pack_gate,
+)
 from models.symmetry import Symmetry
 from tests.nets import SMALL
 from tests.unit.models.conftest import believable_motion
@@ -64,21 +72,34 @@ def make_gate(row: int) -> Familiarity:
     return Familiarity.fit(torch.cat([points, z[row : row + 1]]), FamiliarityRule(width=3.0))
 
 
-PEOPLE = [
-    PersonalDecoder(
-        NET,
-        vary(NET.decoder, seed=i, kind=KINDS[i % 3]),
-        None if i % 4 == 0 else make_gate(i),
-        {},
+def make_correction(gate: Familiarity, row: int) -> Correction:
+    """A correction of some centimetres near what a gate knows."""
+    random = torch.manual_seed(row)
+    z = NET.encode(torch.from_numpy(WINDOWS)).z
+    coordinates = 3 * NET.spec.horizon * NET.spec.joints
+    missed = 0.2 * torch.randn(len(z), coordinates, generator=random)
+    return replace(Correction.fit(gate, z, missed), width=1.5)
+
+
+def make_person(row: int) -> PersonalDecoder:
+    """A decoder; some have a gate, and some of those a correction."""
+    decoder = vary(NET.decoder, seed=row, kind=KINDS[row % 3])
+    gate = None if row % 4 == 0 else make_gate(row)
+    correction = make_correction(gate, row) if gate is not None and row % 2 else None
+    return PersonalDecoder(NET, decoder, gate, {}, correction)
+
+
+def pack(one: PersonalDecoder) -> PackedPerson:
+    return PackedPerson(
+        pack_decoder(one.decoder),
+        None if one.familiarity is None else pack_gate(one.familiarity),
+        None if one.correction is None else pack_correction(one.correction),
     )
-    for i in range(6)
-]
-PACKED = [
-    PackedPerson(
-        pack_decoder(one.decoder), None if one.familiarity is None else pack_gate(one.familiarity)
-    )
-    for one in PEOPLE
-]
+
+
+SMALL_GATE = Familiarity.fit(torch.randn(7, SIZES.continuous, generator=torch.manual_seed(0)))
+PEOPLE = [make_person(row) for row in range(6)]
+PACKED = [pack(one) for one in PEOPLE]
 
 
 def make_rounded(net: Predictor) -> Predictor:
@@ -243,6 +264,14 @@ def test_what_does_not_fit_is_refused_before_anything_is_read() -> None:
         forecast_fused(replace(base, encoder=folded), WINDOWS[:1], [None])
     with pytest.raises(ValueError, match="gate"):
         forecast_fused(base, WINDOWS[:1], [PackedPerson(PACKED[0].decoder, PACKED[0].decoder)])
+    person = PACKED[1]
+    assert person.correction is not None
+    for correction in (person.correction[:-2], person.decoder, person.correction[:64]):
+        with pytest.raises(ValueError, match="correction"):
+            forecast_fused(base, WINDOWS[:1], [replace(person, correction=correction)])
+    for other in (replace(person, gate=None), replace(person, gate=pack_gate(SMALL_GATE))):
+        with pytest.raises(ValueError, match="gate"):
+            forecast_fused(base, WINDOWS[:1], [other])
     with pytest.raises(ValueError, match="size"):
         forecast_fused(replace(base, horizon=14), WINDOWS[:1], [None])
     with pytest.raises(ValueError, match="size"):

@@ -20,7 +20,11 @@ ROOM = WINDOWS.astype(np.float64) + np.array([1.0, 0.0, 30.0])
 
 def dump(person: PersonalDecoder, **metadata: object) -> bytes:
     return dump_personal(
-        person.decoder, dict(metadata), base_sha256=BASE_SHA256, familiarity=person.familiarity
+        person.decoder,
+        dict(metadata),
+        base_sha256=BASE_SHA256,
+        familiarity=person.familiarity,
+        correction=person.correction,
     )
 
 

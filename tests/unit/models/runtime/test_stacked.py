@@ -126,6 +126,7 @@ def test_a_service_builds_and_serves_stacked_decoders() -> None:
             {"bones": [0.3] * 8},
             base_sha256=BASE_SHA256,
             familiarity=person.familiarity,
+            correction=person.correction,
         )
         built = decoders.build(blob)
         assert isinstance(built, StackedDecoder)

@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from models.data.augment import Augmentation
+from models.data.augment import Augmentation, mirror
 from models.data.clips import Clip
 from models.losses import label_loss
 from models.predictor import Predictor
@@ -27,6 +27,7 @@ def make_trainer(config: PretrainConfig, clips: list[Clip]) -> Trainer:
         slow=0.1,
         device=CPU,
         labels=list_actions(clips, config.label_source),
+        moments=config.moments,
     )
     return Trainer(config, sampler, device=CPU)
 
@@ -128,8 +129,53 @@ def test_the_categories_learn_the_actions(config: PretrainConfig, clips: list[Cl
         [drawn] = trainer.sampler.draw()
         with torch.no_grad():
             c = net.encode(drawn.windows[:, :15]).c
-        found.append(float(label_loss(c, drawn.labels)))
+        actions = drawn.labels.unflatten(1, (-1, trainer.sampler.moments)).sum(2)
+        found.append(float(label_loss(c, actions)))
     assert found[1] < 0.5 * found[0]
+
+
+@pytest.mark.parametrize("symmetric", [False, True])
+def test_the_latent_learns_the_moments(
+    config: PretrainConfig, clips: list[Clip], symmetric: bool
+) -> None:
+    plain = Augmentation(**{field.name: 0.0 for field in fields(Augmentation)})
+    longer = replace(config, steps=100, learning_rate=2e-2, augmentation=plain)
+    longer = replace(longer, adversarial_weight=0.0, moment_weight=1.0, symmetric=symmetric)
+    trainer = make_trainer(longer, clips)
+    assert trainer.reader is not None
+    [drawn] = trainer.sampler.draw()
+
+    def measure() -> float:
+        with torch.no_grad():
+            z = trainer.net.encode(drawn.windows[:, :15]).z
+            return float(trainer.reader.loss(z, drawn.labels))
+
+    before = measure()
+    run(trainer)
+    assert measure() < 0.7 * before
+
+
+def test_mirrored_windows_show_the_same_moment(config: PretrainConfig, clips: list[Clip]) -> None:
+    trainer = make_trainer(config, clips)
+    assert trainer.reader is not None
+    assert trainer.symmetry is not None
+    trainer.net.eval()
+    [drawn] = trainer.sampler.draw()
+    with torch.no_grad():
+        losses = [
+            float(trainer.reader.loss(trainer.net.encode(windows[:, :15]).z, drawn.labels))
+            for windows in (drawn.windows, mirror(drawn.windows))
+        ]
+    assert losses[0] == pytest.approx(losses[1], abs=1e-4)
+
+
+def test_without_actions_or_weight_nobody_reads_moments(
+    config: PretrainConfig, clips: list[Clip]
+) -> None:
+    assert make_trainer(replace(config, moment_weight=0.0), clips).reader is None
+    elsewhere = make_trainer(replace(config, label_source="elsewhere"), clips)
+    assert elsewhere.reader is None
+    elsewhere.run_step()
 
 
 def test_more_actions_than_categories_are_refused(

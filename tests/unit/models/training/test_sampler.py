@@ -103,6 +103,28 @@ def test_windows_are_labelled_with_the_action_of_their_clip() -> None:
             ]
 
 
+def test_windows_are_labelled_with_the_part_of_the_action_that_they_show() -> None:
+    [clip] = make_clips(1)
+    sampler = WindowSampler(
+        [clip],
+        length=30,
+        batch=200,
+        shares={},
+        pools=(),
+        tempo=0.0,
+        slow=0.0,
+        device=CPU,
+        labels=[("elsewhere", "0"), (clip.source, clip.action)],
+        moments=4,
+    )
+    start = {clip.poses[s : s + 30].tobytes(): s for s in range(len(clip.poses) - 29)}
+    [drawn] = sampler.draw()
+    assert drawn.labels.shape == (200, 8)
+    for window, label in zip(drawn.windows, drawn.labels, strict=True):
+        middle = start[window.numpy().tobytes()] + 15
+        assert label.nonzero()[:, 0].tolist() == [4 + middle * 4 // len(clip.poses)]
+
+
 def test_actions_are_listed_in_the_order_of_their_numbers() -> None:
     clips = [replace(clip, action=name) for clip, name in zip(make_clips(3), "102", strict=True)]
     clips.append(replace(clips[0], action="10"))
