@@ -31,8 +31,14 @@ class JudgeRule:
     Errors are those of the candidate as a part of the base's; standard errors are over clips.
 
     Attributes:
-        hurt_errors: how many standard errors above 1 the error on motion unlike the recorded may
-            be.
+        usual: what versions of training subjects did on motion unlike the recorded, and
+        usual_spread: how much that differed. A handful of clips says little by itself, so what was
+            measured is weighed with this by its standard error (the mean of two normal
+            distributions' product).
+        hurt_margin: how far above 1 that may come out. Where a version reaches less far its harm
+            and its gain are smaller together, so a little is admitted.
+        help_errors: how many standard errors above 1 everything that was left out may be together,
+            at the best reach.
         like_errors: how many standard errors above 1 it may be on later parts of clips. They are
             weak witnesses: a gesture ends otherwise than it begins, and where the real gain was a
             third they said anything from a loss of a quarter to a gain of a tenth.
@@ -42,7 +48,10 @@ class JudgeRule:
         lose_margin: and how far in any case. With one earlier trial both are the very same fit.
     """
 
-    hurt_errors: float = 0.5
+    usual: float = 0.985
+    usual_spread: float = 0.02
+    hurt_margin: float = 0.005
+    help_errors: float = 1.0
     like_errors: float = 2.0
     trial_errors: float = 1.0
     lose_errors: float = 1.0
@@ -170,8 +179,9 @@ def judge(evidence: Evidence, rule: JudgeRule | None = None) -> Ruling:
             Verdict.REJECT, REACHES[-1], "The fit went astray: its errors are not finite."
         )
     best = min(REACHES, key=lambda reach: both.compare(reach).ratio)
-    if not both.compare(best).ratio < 1:
-        told = _tell("clips and parts of clips left out", both.compare(best))
+    found = both.compare(best)
+    if not found.ratio - rule.help_errors * found.error < 1:
+        told = _tell("clips and parts of clips left out", found)
         return _reject(evidence, best, f"It does not help: {told}.", rule)
     passed = [reach for reach in REACHES if _is_admissible(evidence, reach, rule)]
     if not passed:
@@ -187,11 +197,19 @@ def _is_admissible(evidence: Evidence, reach: float, rule: JudgeRule) -> bool:
     like, unlike = evidence.like.compare(reach), evidence.unlike.compare(reach)
     if len(evidence.unlike) < FEWEST_UNLIKE:
         return False
-    if not unlike.ratio <= 1 + rule.hurt_errors * unlike.error:
+    if not _expect(unlike, rule) <= 1 + rule.hurt_margin:
         return False
     if evidence.trials:
         return like.ratio < 1 - rule.trial_errors * like.error
     return not len(evidence.like) or like.ratio <= 1 + rule.like_errors * like.error
+
+
+def _expect(unlike: Comparison, rule: JudgeRule) -> float:
+    """Weigh what was measured on motion unlike the recorded with what is usual there."""
+    if not np.isfinite(unlike.error):
+        return rule.usual
+    known, measured = rule.usual_spread**2, unlike.error**2
+    return (measured * rule.usual + known * unlike.ratio) / (measured + known)
 
 
 def _explain_success(evidence: Evidence, reach: float) -> str:

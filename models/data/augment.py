@@ -56,17 +56,17 @@ class Augmentation:
     bones: float = 0.06
     offset_m: float = 0.003
     noise_m: float = 0.002
-    still: float = 0.04
+    still: float = 0.03
     tempo: float = 0.15
     slow: float = 0.12
     reverse: float = 0.0
     flicker: float = 0.25
     flicker_m: float = 0.012
     mix: float = 0.5
-    posture: float = 0.4
+    posture: float = 0.3
     seated: float = 0.4
-    movement: float = 0.15
-    travel: float = 0.1
+    movement: float = 0.08
+    travel: float = 0.05
     speed_mps: float = 0.6
     turn_radps: float = 0.8
 
