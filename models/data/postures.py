@@ -29,27 +29,44 @@ _CALM = 0.5
 _FRAME_S = 1 / 30
 
 
+def _make_matrices() -> tuple[Tensor, Tensor]:
+    """Make what gives bones of joints, and joints (from the hip centre) of bones."""
+    to_bones, from_bones = torch.eye(len(KINECT_V1.parents)), torch.eye(len(KINECT_V1.parents))
+    for level in topological_levels(KINECT_V1.parents):
+        for joint in level:
+            parent = KINECT_V1.parents[joint]
+            if parent < 0:
+                to_bones[joint, joint] = from_bones[joint, joint] = 0.0
+                continue
+            to_bones[joint, parent] = -1.0
+            from_bones[joint] += from_bones[parent]
+    return to_bones, from_bones
+
+
+_TO_BONES, _FROM_BONES = _make_matrices()
+
+
+def _combine(
+    matrix: Float[Tensor, "out joint"], windows: Float[Tensor, "batch time joint 3"]
+) -> Float[Tensor, "batch time out 3"]:
+    """Combine joints, several times as fast as picking each one's parent."""
+    turned = windows.transpose(2, 3).contiguous()  # one product for all windows, not one for each
+    mixed: Tensor = turned @ matrix.T.to(windows.device, windows.dtype)
+    return mixed.transpose(2, 3).contiguous()
+
+
 def find_bones(
     windows: Float[Tensor, "batch time joint 3"],
 ) -> Float[Tensor, "batch time joint 3"]:
     """Give the vector from each joint's parent to the joint; zero for the hip centre."""
-    parents = torch.tensor(KINECT_V1.parents, device=windows.device).clamp(min=0)
-    bones = windows - windows[:, :, parents]
-    bones[:, :, HIP_CENTER] = 0.0
-    return bones
+    return _combine(_TO_BONES, windows)
 
 
 def assemble(
     hips: Float[Tensor, "batch time 3"], bones: Float[Tensor, "batch time joint 3"]
 ) -> Float[Tensor, "batch time joint 3"]:
     """Build bodies from the hip centre outwards; the inverse of `find_bones`."""
-    parents = torch.tensor(KINECT_V1.parents, device=bones.device)
-    built = torch.zeros_like(bones)
-    built[:, :, HIP_CENTER] = hips
-    for level in topological_levels(KINECT_V1.parents)[1:]:
-        joint = torch.tensor(level, device=bones.device)
-        built[:, :, joint] = built[:, :, parents[joint]] + bones[:, :, joint]
-    return built
+    return hips[:, :, None] + _combine(_FROM_BONES, bones)
 
 
 def change_posture(

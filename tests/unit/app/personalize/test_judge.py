@@ -57,6 +57,21 @@ def test_what_never_helps_is_rejected() -> None:
     assert "does not help" in ruling.message
 
 
+def test_a_few_clips_of_other_motion_say_little_and_many_say_much() -> None:
+    unsure = make_figures(1.03, clips=4, spread=0.15)
+    assert unsure.compare(REACHES[0]).ratio > 1.02
+    assert judge(make_evidence(make_figures(0.8), unsure)).verdict is Verdict.PROMOTE
+    sure = make_figures(1.03, clips=100, spread=0.05)
+    assert judge(make_evidence(make_figures(0.8), sure)).verdict is Verdict.REJECT
+
+
+def test_a_gain_that_is_not_seen_for_want_of_clips_is_no_harm() -> None:
+    unsure = make_figures(1.02, clips=4, spread=0.15, seed=1)
+    assert 1 < unsure.compare(REACHES[0]).ratio < 1.1
+    ruling = judge(make_evidence(unsure, make_figures(0.99, clips=4)))
+    assert ruling.verdict is Verdict.PROMOTE
+
+
 def test_later_parts_alone_reject_only_what_is_surely_worse() -> None:
     weak = make_figures(1.05, 1.04, 1.03, 0.99, clips=6, spread=0.2)
     assert judge(make_evidence(weak, make_figures(0.95))).reach == REACHES[0]
