@@ -57,7 +57,7 @@ class Floor:
         """Give the floor of a way of forecasting for some people, microseconds per forecast."""
         processor, _, kind = way.partition(" ")
         rates = self.rates.get(processor)
-        if rates is None:
+        if rates is None or kind not in WIDTHS:
             return None
         read = self.encoder_bytes / rates.gb_s["float32"] / 1e3
         done = 2 * self.encoder_multiplications / rates.gflop_s / 1e3

@@ -3,7 +3,7 @@
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,17 +17,29 @@ from app.commands.bench.residents import vary
 from app.commands.figures import summarize
 from models.arithmetic import arithmetic
 from models.checkpoint import SHIPPED, load_checkpoint
+from models.correction import Correction
 from models.data.synthetic import SyntheticPerson
+from models.familiarity import Familiarity, FamiliarityRule
 from models.personal import PersonalDecoder
 from models.predictor import Predictor
 from models.runtime.fused import PROCESSORS, PackedPerson, find_packed, forecast_fused
 from models.runtime.mixed import forecast_mixed
-from models.runtime.pack import KINDS, Kind, PackedBase, pack_decoder
+from models.runtime.pack import (
+    KINDS,
+    Kind,
+    Packed,
+    PackedBase,
+    pack_correction,
+    pack_decoder,
+    pack_gate,
+)
 from models.runtime.stacked import Stack, StackedDecoder, find_device
 from models.spec import MotionSpec
 
 WARM_UP_CALLS = 3
 LEAST_CALLS = 5
+KNOWN_WINDOWS = 1000
+"""Of a trial of 27 clips."""
 FAMILIES = 16
 """Different decoders in torch; with more people than that, torch's copies are shared."""
 
@@ -56,12 +68,16 @@ class ForecastPlan:
 
 @dataclass(frozen=True, eq=False)
 class People:
-    """Everybody's decoder, in the forms that the ways of forecasting want."""
+    """Everybody's decoder, in the forms that the ways of forecasting want.
+
+    All but `served` are decoders alone; those have a gate and a correction, as versions do.
+    """
 
     base: Predictor
     packed_base: PackedBase | None
     torch: Sequence[PersonalDecoder]
     packed: Mapping[Kind, Sequence[PackedPerson]]
+    served: Sequence[PackedPerson]
     stack: Stack
     stacked: Sequence[StackedDecoder]
 
@@ -100,7 +116,21 @@ def invent_people(base: Predictor, users: int) -> People:
         for kind, people in forms.items():
             people.append(PackedPerson(pack_decoder(decoder, kind=kind), None))
     stack = Stack(base, find_device("auto") or "cpu")
-    return People(base, packed, decoders, forms, stack, [stack.add(one) for one in decoders])
+    stacked = [stack.add(one) for one in decoders]
+    rest = _invent_rest(base)
+    served = [replace(person, **rest) for person in forms.get("bfloat16", ())]
+    return People(base, packed, decoders, forms, served, stack, stacked)
+
+
+def _invent_rest(base: Predictor) -> dict[str, Packed]:
+    """Make a gate that finds everything familiar and a correction, of a trial of a usual size."""
+    random = torch.Generator().manual_seed(0)
+    z = torch.randn(KNOWN_WINDOWS, base.config.continuous, generator=random)
+    gate = Familiarity.fit(z, FamiliarityRule(half=1e3))
+    coordinates = 3 * base.spec.horizon * base.spec.joints
+    missed = torch.randn(KNOWN_WINDOWS, coordinates, generator=random)
+    correction = Correction.fit(gate, z, missed)
+    return {"gate": pack_gate(gate), "correction": pack_correction(correction)}
 
 
 def invent_windows(users: int) -> Windows:
@@ -125,6 +155,8 @@ def _measure_users(
             for kind, packed in people.packed.items():
                 call = partial(_fuse, people.packed_base, packed[:users], processor)
                 ways[f"{processor} {kind}"] = call
+            served = people.served[:users]
+            ways[f"{processor} served"] = partial(_fuse, people.packed_base, served, processor)
     rows = [_measure(plan, windows, way=way, call=call) for way, call in ways.items()]
     eager = rows[0]["us_per_forecast"]["median"]
     for row in rows:

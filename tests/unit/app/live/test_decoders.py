@@ -56,7 +56,7 @@ def test_a_malformed_base_is_unusable(base: bytes) -> None:
         write([]),
         write({"format": "kinecast-personal-1", "base_sha256": BASE_SHA256}),
         write(
-            {"format": "kinecast-personal-1", "base_sha256": BASE_SHA256, "familiarity": 3},
+            {"format": "kinecast-personal-2", "base_sha256": BASE_SHA256, "familiarity": 3},
             **{"familiarity.mean": torch.zeros(2)},
         ),
     ],
