@@ -1,5 +1,6 @@
 """The closed-form correction of the base."""
 
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,7 +17,8 @@ from models.correction import Correction
 from models.data.clips import Clip
 from models.data.synthetic import synthetic_clips
 from models.data.windows import cut_windows
-from models.familiarity import Familiarity
+from models.familiarity import Familiarity, FamiliarityRule
+from models.personal import PersonalDecoder
 from models.predictor import Predictor
 from models.training.evaluate import score_forecaster
 
@@ -123,3 +125,32 @@ def test_parts_that_do_not_fit_are_refused(
     made = Correction.fit(Familiarity.fit(z), z, z @ torch.ones(8, COORDINATES))
     with pytest.raises(ValueError, match="it"):
         Correction.restore(made.tensors(), described, points=points, coordinates=coordinates)
+
+
+def test_a_version_gives_the_corrected_base_its_part(
+    base: Predictor, correction: KernelCorrection, takes: Sequence[Clip]
+) -> None:
+    windows = torch.from_numpy(cut_windows(takes, base.spec).observed[::10])
+    gate = replace(correction.familiarity, rule=FamiliarityRule(half=1e3))
+    fitted = copy.deepcopy(base.decoder)
+    for weight in fitted.parameters():
+        weight.data.mul_(1.05)
+    with torch.inference_mode():
+        made = {
+            part: PersonalDecoder(
+                base, fitted, gate, {}, replace(correction.correction, part=part)
+            )(windows)
+            for part in (0.0, 0.4, 1.0)
+        }
+        alone = PersonalDecoder(base, fitted, gate, {})(windows)
+        corrected = correction(windows)
+    assert torch.allclose(made[0.0], alone, atol=1e-5)
+    assert torch.allclose(made[1.0], corrected, atol=1e-5)
+    assert torch.allclose(made[0.4], 0.6 * alone + 0.4 * corrected, atol=1e-5)
+
+
+def test_a_correction_stands_on_windows_that_are_known(
+    base: Predictor, correction: KernelCorrection
+) -> None:
+    with pytest.raises(ValueError, match="to stand on"):
+        PersonalDecoder(base, base.decoder, None, {}, correction.correction)

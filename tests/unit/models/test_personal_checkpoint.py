@@ -106,7 +106,7 @@ def test_versions_without_a_correction_are_still_read(predictor: Predictor) -> N
 def test_damaged_corrections_are_refused(
     predictor: Predictor, corrected: bytes, changes: dict[str, object]
 ) -> None:
-    with pytest.raises(CheckpointError, match="correction|familiarity"):
+    with pytest.raises(CheckpointError, match=r"correction|familiarity"):
         load_personal(rewrite(corrected, **changes), predictor, base_sha256=BASE)
 
 
