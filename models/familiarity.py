@@ -30,7 +30,7 @@ class FamiliarityRule:
         width: how gently it falls.
     """
 
-    half: float = 1.4
+    half: float = 1.5
     width: float = 0.3
 
 

@@ -19,7 +19,7 @@ from models.metrics import FRAMES
 BLEND = 0.85
 """How far the weights of a version are from the base's (0) to the fitted ones (1). All of the way
 costs more on other motion than it brings on the recorded (docs/personalisation.md)."""
-REACHES = (1.4, 1.2, 1.0, 0.8)
+REACHES = (1.5, 1.3, 1.1, 0.9)
 """Distances from what was recorded at which a version has half of the share, the furthest first;
 see `FamiliarityRule`. A nearer one gives up far less of the gain than a smaller blend does."""
 
@@ -31,12 +31,15 @@ class JudgeRule:
     Errors are those of the candidate as a part of the base's; standard errors are over clips.
 
     Attributes:
-        usual: what versions of training subjects did on motion unlike the recorded, and
+        usual: what versions of training subjects did on motion unlike the recorded, at the furthest
+            reach, and
         usual_spread: how much that differed. A handful of clips says little by itself, so what was
-            measured is weighed with this by its standard error (the mean of two normal
-            distributions' product).
-        hurt_margin: how far above 1 that may come out. Where a version reaches less far its harm
-            and its gain are smaller together, so a little is admitted.
+            measured is weighed with this by its error (the mean of two normal distributions'
+            product). Both shrink with the reach, see `_expect`.
+        hurt_margin: how far above 1 that may come out.
+        doubt: what standard errors are multiplied with on motion unlike the recorded: clips of the
+            same motions agree with each other more than with the motions that will come. What is
+            worse than 1 by more than that is never admitted.
         help_errors: how many standard errors above 1 everything that was left out may be together,
             at the best reach.
         like_errors: how many standard errors above 1 it may be on later parts of clips. They are
@@ -48,9 +51,10 @@ class JudgeRule:
         lose_margin: and how far in any case. With one earlier trial both are the very same fit.
     """
 
-    usual: float = 0.985
-    usual_spread: float = 0.02
+    usual: float = 0.988
+    usual_spread: float = 0.03
     hurt_margin: float = 0.005
+    doubt: float = 2.0
     help_errors: float = 1.0
     like_errors: float = 2.0
     trial_errors: float = 1.0
@@ -197,19 +201,26 @@ def _is_admissible(evidence: Evidence, reach: float, rule: JudgeRule) -> bool:
     like, unlike = evidence.like.compare(reach), evidence.unlike.compare(reach)
     if len(evidence.unlike) < FEWEST_UNLIKE:
         return False
-    if not _expect(unlike, rule) <= 1 + rule.hurt_margin:
+    if not unlike.ratio - rule.doubt * unlike.error <= 1 + rule.hurt_margin:
+        return False
+    if not _expect(unlike, reach, rule) <= 1 + rule.hurt_margin:
         return False
     if evidence.trials:
         return like.ratio < 1 - rule.trial_errors * like.error
     return not len(evidence.like) or like.ratio <= 1 + rule.like_errors * like.error
 
 
-def _expect(unlike: Comparison, rule: JudgeRule) -> float:
-    """Weigh what was measured on motion unlike the recorded with what is usual there."""
+def _expect(unlike: Comparison, reach: float, rule: JudgeRule) -> float:
+    """Weigh what was measured on motion unlike the recorded with what is usual there.
+
+    What a version does there, for good or ill, was seen to grow with the third power of its reach.
+    """
+    part = (reach / REACHES[0]) ** 3
+    usual = 1 - part * (1 - rule.usual)
     if not np.isfinite(unlike.error):
-        return rule.usual
-    known, measured = rule.usual_spread**2, unlike.error**2
-    return (measured * rule.usual + known * unlike.ratio) / (measured + known)
+        return usual
+    known, measured = (part * rule.usual_spread) ** 2, (rule.doubt * unlike.error) ** 2
+    return (measured * usual + known * unlike.ratio) / (measured + known)
 
 
 def _explain_success(evidence: Evidence, reach: float) -> str:
