@@ -42,9 +42,10 @@ class JudgeRule:
             worse than 1 by more than that is never admitted.
         help_errors: how many standard errors above 1 everything that was left out may be together,
             at the best reach.
-        like_errors: how many standard errors above 1 it may be on later parts of clips. They are
-            weak witnesses: a gesture ends otherwise than it begins, and where the real gain was a
-            third they said anything from a loss of a quarter to a gain of a tenth.
+        like_errors: how many standard errors above 1, and
+        like_margin: how much more, it may be on later parts of clips. They are weak witnesses: a
+            gesture ends otherwise than it begins, and where the real gain was a third they said
+            anything from a loss of a quarter to a gain of a third.
         trial_errors: how many standard errors below 1 it must be on whole trials left out.
         lose_errors: how many standard errors behind the active version a candidate may be on a
             trial that neither was trained on.
@@ -57,6 +58,7 @@ class JudgeRule:
     doubt: float = 2.0
     help_errors: float = 1.0
     like_errors: float = 2.0
+    like_margin: float = 0.1
     trial_errors: float = 1.0
     lose_errors: float = 1.0
     lose_margin: float = 0.01
@@ -207,7 +209,8 @@ def _is_admissible(evidence: Evidence, reach: float, rule: JudgeRule) -> bool:
         return False
     if evidence.trials:
         return like.ratio < 1 - rule.trial_errors * like.error
-    return not len(evidence.like) or like.ratio <= 1 + rule.like_errors * like.error
+    most = 1 + rule.like_margin + rule.like_errors * like.error
+    return not len(evidence.like) or like.ratio <= most
 
 
 def _expect(unlike: Comparison, reach: float, rule: JudgeRule) -> float:

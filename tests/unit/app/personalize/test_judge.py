@@ -75,7 +75,7 @@ def test_a_gain_that_is_not_seen_for_want_of_clips_is_no_harm() -> None:
 def test_later_parts_alone_reject_only_what_is_surely_worse() -> None:
     weak = make_figures(1.05, 1.04, 1.03, 0.99, clips=6, spread=0.2)
     assert judge(make_evidence(weak, make_figures(0.95))).reach == REACHES[0]
-    strong = make_figures(1.2, 1.1, 0.99, 0.98, spread=0.01)
+    strong = make_figures(1.3, 1.2, 1.05, 0.98, spread=0.01)
     assert judge(make_evidence(strong, make_figures(0.95))).reach == REACHES[2]
 
 
