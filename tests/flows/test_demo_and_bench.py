@@ -199,7 +199,8 @@ def test_bench_forecast_compares_every_way_and_the_floor() -> None:
     told, _ = run("bench", "forecast", "--users", "1,4", "--repeats", "5", "--json")
     report = json.loads(told)
     kernels = [f"{name} {kind}" for name in PROCESSORS for kind in KINDS]
-    ways = ["eager", "torch", f"stacked {find_device('auto') or 'cpu'}", *kernels]
+    of_kernel = [f"{name} {kind}" for name in PROCESSORS for kind in (*KINDS, "served")]
+    ways = ["eager", "torch", f"stacked {find_device('auto') or 'cpu'}", *of_kernel]
     rows = report["rows"]
     assert [(row["users"], row["way"]) for row in rows] == [(n, w) for n in (1, 4) for w in ways]
     assert all(row["calls"] == 5 for row in rows)
