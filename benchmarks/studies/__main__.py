@@ -3,10 +3,11 @@
     python -m benchmarks.studies main --jobs 2
     python -m benchmarks.studies all --list
     python -m benchmarks.studies everybody --report
+    python -m benchmarks.studies all --page docs/evidence.md
 
 A study trains the bases that it lacks and computes the rows that it lacks, each row kept as soon as
 it is known; a run that was ended goes on where it was. `--report` and `--markdown` sum up the rows
-that are kept, without recordings.
+that are kept, without recordings; `--page` writes those of all studies into a page.
 """
 
 import argparse
@@ -16,6 +17,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from benchmarks.studies.page import fill
 from benchmarks.studies.recordings import Place
 from benchmarks.studies.runner import (
     ANSWERS,
@@ -25,6 +27,7 @@ from benchmarks.studies.runner import (
     list_missing,
     read_rows,
     run_study,
+    sum_up,
 )
 from benchmarks.studies.study import Options, Study
 from benchmarks.studies.tables import Table
@@ -42,6 +45,10 @@ def main() -> None:
         fresh=arguments.fresh,
     )
     console = Console(soft_wrap=True)
+    if arguments.page:
+        page = arguments.page.read_text()
+        arguments.page.write_text(fill(page, lambda name: sum_up(name, run)))
+        return
     try:
         whole = [_do(STUDIES[name], run, arguments, console) for name in chosen]
     except KeyboardInterrupt:
@@ -88,6 +95,7 @@ def _parse() -> argparse.Namespace:
     parser.add_argument("--list", action="store_true", help="say what is missing, and end")
     parser.add_argument("--report", action="store_true", help="sum up what is there, and end")
     parser.add_argument("--markdown", action="store_true", help="the same as Markdown")
+    parser.add_argument("--page", type=Path, help="write the tables of all into this page, and end")
     return parser.parse_args()
 
 

@@ -15,6 +15,7 @@ from benchmarks.studies.cache import RESULTS, Cache, Row
 from benchmarks.studies.pool import work
 from benchmarks.studies.recordings import Place, is_examinee
 from benchmarks.studies.study import Lab, Options, Study, Unit, key_of
+from benchmarks.studies.tables import Table
 from models.training import ledger
 from models.training.ledger import record_reading
 
@@ -178,6 +179,19 @@ def read_rows(study: Study, run: Run) -> list[Row]:
     """Give the rows that are there, in the order of the plan."""
     rows = run.cache(study).read()
     return [rows[unit.name] for unit in study.plan(run.options) if unit.name in rows]
+
+
+def sum_up(name: str, run: Run) -> Sequence[Table]:
+    """Give the tables of a study from the rows that are there; none where there are none.
+
+    Raises:
+        ValueError: no study has this name.
+    """
+    if name not in STUDIES:
+        raise ValueError(f"no study is called {name!r}; there are {', '.join(STUDIES)}")
+    study = STUDIES[name]
+    rows = read_rows(study, run)
+    return study.summarise(rows) if rows else ()
 
 
 def describe_missing(study: Study, run: Run) -> Sequence[str]:
