@@ -3,11 +3,11 @@
 No training: kernel ridge regression (the mean of a Gaussian process; Rasmussen and Williams 2006,
 chapter 2) of the base's errors on the windows of a person's trials, in the few directions of the
 frozen latent in which familiarity is measured. Far from all of these windows nothing is left of it.
-It is exact after a fraction of a second, and it knows something that a fitted decoder does not, so
+It needs a fraction of the time of a fit, and it knows something that a fitted decoder does not, so
 every version has a part of it; `baselines/closed_form.py` is what it does by itself.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite
 from typing import Any
 
@@ -65,12 +65,14 @@ class Correction:
         """
         some = thin_out(len(z), MOST_WINDOWS)
         centres = thin_out(len(familiarity.points), MOST_CENTRES)
-        kernel = _bump(familiarity.measure(z[some])[:, centres], width)
+        near = replace(familiarity, points=familiarity.points[centres])
+        kernel = _bump(near.measure(z[some]), width)
         missed = missed[some].double()
-        normal = kernel.T @ kernel + strength * _bump(familiarity.measure_points(centres), width)
+        overlap = kernel.T @ kernel
         jitter = 1e-6 * torch.eye(len(centres), dtype=torch.float64)
-        solved = torch.linalg.solve(normal + jitter, kernel.T @ missed)
-        basis = torch.linalg.svd(kernel @ solved, full_matrices=False)[2][:RANK]
+        normal = overlap + strength * _bump(near.measure_points(), width) + jitter
+        solved = torch.linalg.solve(normal, kernel.T @ missed)
+        basis = _find_directions(solved.T @ overlap @ solved)
         coefficients = torch.zeros(len(familiarity.points), len(basis), dtype=torch.float64)
         coefficients[centres] = solved @ basis.T
         return cls(_round(coefficients), _round(basis), width)
@@ -118,6 +120,13 @@ class Correction:
         if not (correction.width > 0 and isfinite(correction.width) and 0 <= correction.part <= 1):
             raise ValueError(f"its width or part is impossible: {correction.describe()}")
         return correction
+
+
+def _find_directions(
+    square: Float64[Tensor, "coordinate coordinate"],
+) -> Float64[Tensor, "rank coordinate"]:
+    """Give the directions that say most, of a sum of outer products; as a basis."""
+    return torch.linalg.eigh(square)[1].flip(1)[:, :RANK].T
 
 
 def _bump(apart: Float[Tensor, "one other"], width: float) -> Float64[Tensor, "one other"]:

@@ -74,10 +74,9 @@ class Familiarity:
         apart = torch.cdist((z - self.mean) @ self.axes, self.points)
         return apart.square() / self.points.shape[1]
 
-    def measure_points(self, some: Int[Tensor, " some"]) -> Float[Tensor, "some some"]:
-        """Mean square distance, per direction, between some of the windows that it knows."""
-        points = self.points[some]
-        return torch.cdist(points, points).square() / points.shape[1]
+    def measure_points(self) -> Float[Tensor, "point point"]:
+        """Mean square distance, per direction, between the windows that it knows."""
+        return torch.cdist(self.points, self.points).square() / self.points.shape[1]
 
     def distance(self, z: Float[Tensor, "window continuous"]) -> Float[Tensor, " window"]:
         """Root mean square distance, per direction, to the nearest of the windows."""

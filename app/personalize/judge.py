@@ -1,6 +1,6 @@
 """Whether what was trained may answer, and how far: plain numbers in, a ruling and its reason out.
 
-Two questions, asked of the candidate as it will be served, its familiarity gate included: does it
+Two questions, asked of the candidate as it will be served, gate and correction included: does it
 help on motion like that recorded, and does it not hurt on motion unlike it? The furthest reach
 of the gate that passes both is taken. The clip is the unit, never the window: windows of a clip
 overlap and say the same twice.
@@ -26,7 +26,7 @@ see `FamiliarityRule`. A nearer one gives up far less of the gain than a smaller
 
 @dataclass(frozen=True, slots=True)
 class JudgeRule:
-    """The constants, chosen on training subjects (docs/personalisation.md, LOG.md).
+    """The constants; how each was chosen: docs/personalisation.md and LOG.md.
 
     Errors are those of the candidate as a part of the base's; standard errors are over clips.
 
@@ -35,11 +35,14 @@ class JudgeRule:
             reach, and
         usual_spread: how much that differed. A handful of clips says little by itself, so what was
             measured is weighed with this by its error (the mean of two normal distributions'
-            product). Both shrink with the reach, see `_expect`.
+            product). Both are taken to shrink with the reach, see `_expect`.
         hurt_margin: how far above 1 that may come out.
         doubt: what standard errors are multiplied with on motion unlike the recorded: clips of the
             same motions agree with each other more than with the motions that will come. What is
             worse than 1 by more than that is never admitted.
+        most_error: what a standard error on motion unlike the recorded counts as at most. So few
+            clips that it is larger prove no harm, but what they show of it is not to help either:
+            a tenth worse is never admitted.
         help_errors: how many standard errors above 1 everything that was left out may be together,
             at the best reach.
         like_errors: how many standard errors above 1, and
@@ -56,6 +59,7 @@ class JudgeRule:
     usual_spread: float = 0.03
     hurt_margin: float = 0.005
     doubt: float = 2.0
+    most_error: float = 0.05
     help_errors: float = 1.0
     like_errors: float = 2.0
     like_margin: float = 0.1
@@ -203,9 +207,10 @@ def _is_admissible(evidence: Evidence, reach: float, rule: JudgeRule) -> bool:
     like, unlike = evidence.like.compare(reach), evidence.unlike.compare(reach)
     if len(evidence.unlike) < FEWEST_UNLIKE:
         return False
-    if not unlike.ratio - rule.doubt * unlike.error <= 1 + rule.hurt_margin:
+    unsure = rule.doubt * min(unlike.error, rule.most_error)
+    if not unlike.ratio - unsure <= 1 + rule.hurt_margin:
         return False
-    if not _expect(unlike, reach, rule) <= 1 + rule.hurt_margin:
+    if not _expect(unlike.ratio, unsure, reach, rule) <= 1 + rule.hurt_margin:
         return False
     if evidence.trials:
         return like.ratio < 1 - rule.trial_errors * like.error
@@ -213,17 +218,16 @@ def _is_admissible(evidence: Evidence, reach: float, rule: JudgeRule) -> bool:
     return not len(evidence.like) or like.ratio <= most
 
 
-def _expect(unlike: Comparison, reach: float, rule: JudgeRule) -> float:
+def _expect(ratio: float, unsure: float, reach: float, rule: JudgeRule) -> float:
     """Weigh what was measured on motion unlike the recorded with what is usual there.
 
-    What a version does there, for good or ill, was seen to grow with the third power of its reach.
+    What is usual is taken to grow with the third power of the reach; what was seen of it grew with
+    a power of 1.4 to 2. So near the trials little is promised, and little feared.
     """
     part = (reach / REACHES[0]) ** 3
     usual = 1 - part * (1 - rule.usual)
-    if not np.isfinite(unlike.error):
-        return usual
-    known, measured = (part * rule.usual_spread) ** 2, (rule.doubt * unlike.error) ** 2
-    return (measured * usual + known * unlike.ratio) / (measured + known)
+    known, measured = (part * rule.usual_spread) ** 2, unsure**2
+    return (measured * usual + known * ratio) / (measured + known)
 
 
 def _explain_success(evidence: Evidence, reach: float) -> str:

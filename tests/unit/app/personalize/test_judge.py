@@ -169,3 +169,17 @@ def test_errors_that_are_no_numbers_are_never_promoted(wrong: float) -> None:
 def test_figures_of_one_clip_have_no_standard_error() -> None:
     told = make_figures(0.9, clips=1).summarise(REACHES[0])
     assert told["standard_error"] is None
+
+
+@pytest.mark.parametrize("after", [[1.1, 1.4], [1.1, 1.9], [0.9, 0.9, 0.9, 3.3], [1.3, 1.0, 1.03]])
+def test_a_tenth_worse_is_never_admitted_however_unsure_a_few_clips_are(after: list[float]) -> None:
+    before = np.full((len(after), len(FRAMES)), 20.0)
+    harmful = Figures(before, np.tile(before * np.array(after)[:, None], (len(REACHES), 1, 1)))
+    ruling = judge(make_evidence(make_figures(0.7), harmful))
+    assert ruling.verdict is Verdict.REJECT
+
+
+def test_a_clip_that_the_base_forecasts_without_error_hides_no_harm() -> None:
+    before = np.array([[100.0], [0.0]]) * np.ones(len(FRAMES))
+    harmful = Figures(before, np.tile(before * 1.3, (len(REACHES), 1, 1)))
+    assert judge(make_evidence(make_figures(0.7), harmful)).verdict is Verdict.REJECT

@@ -1,6 +1,8 @@
 import contextlib
 import io
+import struct
 import zipfile
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -97,6 +99,51 @@ def test_no_damage_escapes_as_another_error(place: int, change: int, compressed:
     content[place] ^= change
     with contextlib.suppress(RecordingError):
         assert read_mat(bytes(content)).shape[1:] == (20, 3)
+
+
+def pack(array: bytes) -> bytes:
+    packed = zlib.compress(array)
+    return GOOD[:128] + struct.pack("<II", 15, len(packed)) + packed
+
+
+def test_a_packed_array_that_says_that_it_ends_early_is_refused() -> None:
+    plain = bytearray(mat(SKELETON, compressed=False)[128:])
+    tag = plain.index(b"d_skel") + 8
+    plain[4:8] = struct.pack("<I", tag - 8)
+    plain[tag : tag + 4] = struct.pack("<I", 300)
+    with pytest.raises(RecordingError, match="clip 7: not a readable MATLAB file"):
+        read_mat(pack(bytes(plain)), name="clip 7")
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_no_damage_inside_of_a_packed_array_escapes_as_another_error(data: st.DataObject) -> None:
+    plain = bytearray(mat(SKELETON, compressed=False)[128:])
+    for _ in range(data.draw(st.integers(1, 3))):
+        place = data.draw(st.integers(0, 80))
+        plain[place] = data.draw(st.integers(0, 255))
+    with contextlib.suppress(RecordingError):
+        assert read_mat(pack(bytes(plain))).shape[1:] == (20, 3)
+
+
+def test_other_variables_beside_the_skeleton_are_passed_over() -> None:
+    buffer = io.BytesIO()
+    beside = {"note": "a text", "cells": np.array([1, "two"], dtype=object), "zeros": np.zeros(9)}
+    scipy.io.savemat(buffer, beside | {"d_skel": SKELETON}, do_compression=True)
+    assert np.array_equal(read_mat(buffer.getvalue()), read_mat(GOOD))
+
+
+@pytest.mark.parametrize("compressed", [True, False])
+def test_a_recording_of_the_longest_kind_is_read(compressed: bool) -> None:
+    longest = np.random.default_rng(1).normal(size=(20, 3, utd_mhad.MAX_FRAMES))
+    poses = read_mat(mat(longest, compressed=compressed))
+    assert np.array_equal(poses, longest.transpose(2, 0, 1).astype(np.float32))
+
+
+@pytest.mark.parametrize("kind", ["f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8"])
+def test_other_kinds_of_numbers_are_read(kind: str) -> None:
+    whole = np.arange(20 * 3 * 2).reshape(20, 3, 2) % 90
+    assert np.array_equal(read_mat(mat(whole.astype(kind)))[1, 4], whole[4, :, 1])
 
 
 def test_a_missing_file_is_an_error_that_names_it(tmp_path: Path) -> None:
