@@ -30,6 +30,7 @@ UNCORRECTED_FORMAT = "kinecast-personal-1"
 """Of personal versions before corrections were a part of them."""
 SHIPPED = Path(__file__).parent / "pretrained" / "base.safetensors"
 _NET, _ADVERSARY, _RADIUS = "net.", "adversary.", "radius"
+_PERSONAL_DTYPES = {torch.float32, torch.bfloat16, torch.float16}
 _DECODER, _FAMILIARITY, _CORRECTION = "decoder.", "familiarity.", "correction."
 
 
@@ -180,6 +181,9 @@ def load_personal(blob: bytes, base: Forecaster, *, base_sha256: str) -> Persona
         raise CheckpointError(f"fitted on the base {metadata.get('base_sha256')}")
     if not isinstance(base, Predictor):
         raise CheckpointError("the base has no decoder that could be exchanged")
+    unknown = {tensor.dtype for tensor in tensors.values()} - _PERSONAL_DTYPES
+    if unknown:
+        raise CheckpointError(f"weights of a kind that no version has: {sorted(map(str, unknown))}")
     if not all(bool(tensor.isfinite().all()) for tensor in tensors.values()):
         raise CheckpointError("the weights are not finite")
     decoder = copy.deepcopy(base.decoder)

@@ -8,14 +8,13 @@ every version has a part of it; `baselines/closed_form.py` is what it does by it
 """
 
 from dataclasses import dataclass, replace
-from math import isfinite
 from typing import Any
 
 import torch
 from jaxtyping import Float, Float64
 from torch import Tensor
 
-from models.familiarity import Familiarity, thin_out
+from models.familiarity import FURTHEST, Familiarity, thin_out
 
 WIDTH, STRENGTH = 1.0, 1.0
 """Chosen on subject 7 of UTD-MHAD, see training/LOG.md; both are flat there."""
@@ -110,23 +109,26 @@ class Correction:
             ValueError: tensors that do not belong together.
             KeyError: one is missing.
         """
-        coefficients, basis = tensors["coefficients"].float(), tensors["basis"].float()
+        stored = tensors["coefficients"], tensors["basis"]
+        if {tensor.dtype for tensor in stored} != {torch.float16}:
+            raise ValueError("it is not in half precision")
+        coefficients, basis = (tensor.float() for tensor in stored)
         rank = len(basis)
         if coefficients.shape != (points, rank) or basis.shape != (rank, coordinates):
             raise ValueError("its parts have different sizes")
         if not 0 < rank <= RANK:
             raise ValueError(f"it has {rank} directions, at most {RANK} are known")
-        correction = cls(coefficients, basis, **described)
-        if not (correction.width > 0 and isfinite(correction.width) and 0 <= correction.part <= 1):
-            raise ValueError(f"its width or part is impossible: {correction.describe()}")
-        return correction
+        if not (1 / FURTHEST <= described["width"] <= FURTHEST and 0 <= described["part"] <= 1):
+            raise ValueError(f"its width or part is impossible: {described}")
+        return cls(coefficients, basis, **described)
 
 
 def _find_directions(
     square: Float64[Tensor, "coordinate coordinate"],
 ) -> Float64[Tensor, "rank coordinate"]:
     """Give the directions that say most, of a sum of outer products; as a basis."""
-    return torch.linalg.eigh(square)[1].flip(1)[:, :RANK].T
+    directions: Tensor = torch.linalg.eigh(square)[1]
+    return directions.flip(1)[:, :RANK].T
 
 
 def _bump(apart: Float[Tensor, "one other"], width: float) -> Float64[Tensor, "one other"]:

@@ -2,12 +2,11 @@
 
 The encoder is shared and frozen, so its latent z is a fixed yardstick. A version keeps the windows
 of its trials as points in the few directions in which they differ most; the distance of a new
-window to the nearest of them, in units of their spread, becomes the share that the personal decoder
-has in the forecast. The rest is the base's: a decoder that was fitted to one motion says little
-about another.
+window to the nearest of them, in units of their spread, becomes the share that the person's version
+has in the forecast. The rest is the base's: what was fitted to one motion says little about
+another.
 """
 
-import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,6 +18,8 @@ DIRECTIONS = 24
 MOST_POINTS = 4096
 """More windows than this (two minutes of motion) are thinned out evenly."""
 SNAP = 0.01
+FURTHEST = 1000.0
+"""No distance in units of a trial's spread is of use beyond."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +84,7 @@ class Familiarity:
         return self.measure(z).min(dim=1).values.sqrt()
 
     def share(self, z: Float[Tensor, "window continuous"]) -> Float[Tensor, " window"]:
-        """Part of the personal decoder in each forecast, 0 to 1; far enough out exactly these."""
+        """Part of the person's version in each forecast, 0 to 1; far enough out exactly these."""
         share = torch.sigmoid((self.rule.half - self.distance(z)) / self.rule.width)
         return ((share - SNAP) / (1 - 2 * SNAP)).clamp(0, 1)
 
@@ -110,12 +111,15 @@ class Familiarity:
         mean, axes, points = tensors["mean"], tensors["axes"], tensors["points"]
         if axes.ndim != 2 or mean.shape != axes.shape[:1] or points.shape[1:] != axes.shape[1:]:
             raise ValueError("its parts have different sizes")
-        if not len(points):
-            raise ValueError("it knows no window")
-        rule = FamiliarityRule(**described)
-        if not (0 <= rule.half < math.inf and 0 < rule.width < math.inf):
-            raise ValueError(f"its rule is impossible: {rule}")
-        return cls(mean, axes, points, rule)
+        if not (1 <= len(points) <= MOST_POINTS and 1 <= axes.shape[1] <= DIRECTIONS):
+            told = f"{len(points)} windows in {axes.shape[1]} directions"
+            raise ValueError(f"it knows {told}; 1 to {MOST_POINTS} in 1 to {DIRECTIONS} may be")
+        if {mean.dtype, axes.dtype, points.dtype} != {torch.float32}:
+            raise ValueError("it is not in single precision")
+        half, width = described["half"], described["width"]
+        if not (0 <= half <= FURTHEST and 1 / FURTHEST <= width <= FURTHEST):
+            raise ValueError(f"its rule is impossible: {described}")
+        return cls(mean, axes, points, FamiliarityRule(**described))
 
 
 def thin_out(count: int, most: int) -> Int[Tensor, " kept"]:

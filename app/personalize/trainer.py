@@ -1,7 +1,8 @@
 """The trainer that workers use: fits one person's decoder, examines it, and fits it on everything.
 
 Each fold is fitted by the very recipe of the final fit, and measured as it would be served, gate
-included; the final weights are those of the fit on all clips, and reach as far as the judge allows.
+and correction included; the final weights are those of the fit on all clips, and reach as far as
+the judge allows.
 """
 
 from collections.abc import Callable, Sequence
@@ -10,6 +11,7 @@ from math import isfinite
 from typing import Any
 
 import numpy as np
+from torch import Tensor
 
 from app.domain.body import measure_bones
 from app.domain.versions import Verdict
@@ -24,10 +26,10 @@ from models.checkpoint import (
     load_checkpoint,
     load_personal,
 )
-from models.correction import Correction
+from models.correction import MOST_WINDOWS, Correction
 from models.data.clips import Clip, data_hash
 from models.decoder import Decoder
-from models.familiarity import Familiarity
+from models.familiarity import Familiarity, thin_out
 from models.metrics import FRAMES
 from models.personal import PersonalDecoder
 from models.predictor import Predictor
@@ -51,6 +53,7 @@ class _Course:
     config: FinetuneConfig
     report: Report
     fits: int
+    corrects: bool = True
 
     def fit(self, clips: Sequence[Clip], *, number: int, phase: str) -> PersonalDecoder:
         """Fit a version as it will be served: decoder, gate and correction."""
@@ -58,7 +61,8 @@ class _Course:
         fitted = finetune(net, clips, self.config, report=self._tell(phase, number))
         decoder = blend(net.decoder, fitted, BLEND)
         round_matrices(decoder)
-        return learn_rest(net, decoder, clips)
+        version = learn_rest(net, decoder, clips)
+        return version if self.corrects else replace(version, correction=None)
 
     def examine(self, folds: Sequence[Fold], *, first: int = 0) -> list[Examined]:
         """Fit and measure a candidate for every fold."""
@@ -97,11 +101,12 @@ def train(lesson: Lesson, report: Report, *, config: FinetuneConfig | None = Non
     examined = course.examine(folds)
     rival = _meet(active, lesson, folds, examined)
     if active is not None and runs == 2:
-        rival = _refight(active, replace(course, base=_load_base(lesson)), folds, examined)
+        old = replace(course, base=_load_base(lesson), corrects=active.correction is not None)
+        rival = _refight(active, old, folds, examined)
     evidence = _gather(folds, examined, rival=rival)
     ruling = judge(evidence)
     whole = course.fit(blocks, number=runs * len(folds), phase="fitting")
-    if not all(bool(weight.isfinite().all()) for weight in whole.decoder.parameters()):
+    if not _is_finite(whole):
         return Learned(Verdict.REJECT, "The fit went astray: its weights are not finite.", None, {})
     metrics = _summarise(ruling, evidence, lesson)
     described = {
@@ -127,8 +132,16 @@ def learn_rest(net: Predictor, decoder: Decoder, clips: Sequence[Clip]) -> Perso
     """Make a version of a fitted decoder: learn its gate and correction, which takes a moment."""
     found = encode_plain(net, clips)
     gate = Familiarity.fit(found.z)
-    correction = Correction.fit(gate, found.z, find_missed(net, found))
+    some = found.pick(thin_out(len(found), MOST_WINDOWS))
+    correction = Correction.fit(gate, some.z, find_missed(net, some))
     return PersonalDecoder(net, decoder, gate, {}, correction)
+
+
+def _is_finite(version: PersonalDecoder) -> bool:
+    weights: list[Tensor] = list(version.decoder.parameters())
+    if version.correction is not None:
+        weights += version.correction.tensors().values()
+    return all(bool(weight.isfinite().all()) for weight in weights)
 
 
 def _configure(steps: int | None) -> FinetuneConfig:
@@ -192,10 +205,8 @@ def _refight(
     The version itself was fitted on every trial, so nothing is left to measure it on. What can be
     compared fairly are fits on the same parts of the trials, on the old base and on the new one.
     """
-    reach = REACHES[0]
-    if active.familiarity is not None:
-        half = active.familiarity.rule.half
-        reach = min(REACHES, key=lambda one: abs(one - half))
+    half = REACHES[0] if active.familiarity is None else active.familiarity.rule.half
+    reach = next((one for one in REACHES if one <= half), REACHES[-1])
     old = join([part.both for part in course.examine(folds, first=len(folds))])
     new = join([part.both for part in examined])
     return Rival(

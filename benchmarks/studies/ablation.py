@@ -49,7 +49,7 @@ def plan(_: Options) -> list[Unit]:
         )
         for rate in THAWED_RATES
     ]
-    names = [name for name in list_recipes() if name.startswith("ablation-")]
+    names = [name for name in list_recipes() if name.startswith("ablation-no-")]
     return [full, *thawed, *(Unit(name, name, person, seconds=40.0) for name in names)]
 
 

@@ -46,13 +46,13 @@ from models.training.simlpe import SimlpeConfig
 
 FOLDER = Path("build/studies/bases")
 FULL_STEPS = PretrainConfig().steps
-BUDGET_STEPS = 1_200
-"""About five minutes of a core: enough to compare by, see models/training/LOG.md."""
+BUDGET_STEPS, ABLATION_STEPS = 1_200, 800
+"""About five and three minutes of a core: enough to compare by, see models/training/LOG.md."""
 STEP_S, PEER_STEP_S = 0.3, 0.09
 """A step on one core, about."""
 SHIPPED_BASE = "shipped-0"
 LEFT_OUT_OF_ABLATIONS = "utd-mhad/7"
-FULL_ABLATION = f"without-{LEFT_OUT_OF_ABLATIONS.replace('/', '-')}"
+FULL_ABLATION = "ablation-every-part"
 """The base with every part that ablations are compared with."""
 _VERSION = 1
 
@@ -130,6 +130,8 @@ def _list_recipes() -> Iterator[Recipe]:
     for left_out in (*(f"{UTD}/{subject}" for subject in (3, 7, 1, 5)), *COLLECTIONS):
         name = f"without-{left_out.replace('/', '-')}"
         yield Recipe(name, budget, left_out=(left_out,))
+    budget = replace(full, steps=ABLATION_STEPS, evaluate_every=ABLATION_STEPS)
+    yield Recipe(FULL_ABLATION, budget, left_out=(LEFT_OUT_OF_ABLATIONS,))
     for name, (config, part) in _list_ablations(budget).items():
         yield Recipe(name, config, left_out=(LEFT_OUT_OF_ABLATIONS,), part=part)
 

@@ -31,7 +31,7 @@ CHOOSING = ("3", "7")
 """Subjects by which a budget may be chosen; the others are for the figure."""
 ENCODING_SHARE = 0.3
 """Part of a budget that copies of windows may take to be encoded."""
-TIMED = f"{UTD}/7"
+TIMED = f"{UTD}/2"
 Correct = Callable[[Predictor, Sequence[Clip]], Forecaster]
 CORRECTIONS: dict[str, Correct] = {"closed form": KernelCorrection.fit}
 """Personal versions in closed form, by name; each becomes a line beside the fits."""

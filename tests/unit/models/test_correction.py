@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from models import correction as module
@@ -96,6 +96,7 @@ def test_long_recordings_are_thinned_out(monkeypatch: pytest.MonkeyPatch) -> Non
     assert (found.coefficients.abs().sum(dim=1) > 0).sum() <= 10
 
 
+@settings(deadline=None)
 @given(points=st.integers(1, 30), width=st.floats(0.1, 3.0), part=st.floats(0, 1))
 def test_a_correction_comes_back_as_it_was_stored(points: int, width: float, part: float) -> None:
     z = torch.randn(points, 8, generator=torch.manual_seed(points))
@@ -115,6 +116,7 @@ def test_a_correction_comes_back_as_it_was_stored(points: int, width: float, par
         ({"width": 1.0, "part": 0.4}, 5, COORDINATES + 1),
         ({"width": 0.0, "part": 0.4}, 5, COORDINATES),
         ({"width": math.inf, "part": 0.4}, 5, COORDINATES),
+        ({"width": 10**400, "part": 0.4}, 5, COORDINATES),
         ({"width": 1.0, "part": 1.5}, 5, COORDINATES),
     ],
 )
@@ -123,8 +125,19 @@ def test_parts_that_do_not_fit_are_refused(
 ) -> None:
     z = torch.randn(5, 8, generator=torch.manual_seed(0))
     made = Correction.fit(Familiarity.fit(z), z, z @ torch.ones(8, COORDINATES))
-    with pytest.raises(ValueError, match="it"):
+    with pytest.raises(ValueError, match=r"different sizes|impossible"):
         Correction.restore(made.tensors(), described, points=points, coordinates=coordinates)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.bfloat16])
+def test_only_half_precision_is_read_which_what_is_finite_stays_finite_in(
+    dtype: torch.dtype,
+) -> None:
+    z = torch.randn(5, 8, generator=torch.manual_seed(0))
+    made = Correction.fit(Familiarity.fit(z), z, z @ torch.ones(8, COORDINATES))
+    stored = {name: tensor.to(dtype) for name, tensor in made.tensors().items()}
+    with pytest.raises(ValueError, match="half precision"):
+        Correction.restore(stored, made.describe(), points=5, coordinates=COORDINATES)
 
 
 def test_a_version_gives_the_corrected_base_its_part(

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from models.familiarity import MOST_POINTS, Familiarity, FamiliarityRule
+from models.familiarity import DIRECTIONS, MOST_POINTS, Familiarity, FamiliarityRule
 
 
 @pytest.fixture
@@ -64,12 +64,26 @@ def test_parts_that_do_not_belong_together_are_refused(windows: torch.Tensor) ->
         ("axes", torch.zeros(32, 2)),
         ("points", torch.zeros(4, 3)),
         ("points", known.points[:0]),
+        ("points", torch.zeros(MOST_POINTS + 1, DIRECTIONS)),
+        ("points", known.points.double()),
+        ("mean", known.mean.half()),
     ):
-        with pytest.raises(ValueError, match=r"sizes|no window"):
+        with pytest.raises(ValueError, match=r"sizes|may be|single precision"):
             Familiarity.restore(known.tensors() | {name: other}, known.describe())
 
 
-@pytest.mark.parametrize("wrong", [{"width": 0.0}, {"width": float("nan")}, {"half": -1.0}])
+def test_more_directions_than_a_gate_has_are_refused(windows: torch.Tensor) -> None:
+    known = Familiarity.fit(windows)
+    for directions in (0, DIRECTIONS + 1):
+        wide = {"axes": torch.zeros(32, directions), "points": torch.zeros(4, directions)}
+        with pytest.raises(ValueError, match=f"in {directions} directions"):
+            Familiarity.restore(known.tensors() | wide, known.describe())
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"width": 0.0}, {"width": float("nan")}, {"half": -1.0}, {"half": 10**400}, {"width": 1e200}],
+)
 def test_a_rule_that_cannot_be_is_refused(windows: torch.Tensor, wrong: dict[str, float]) -> None:
     known = Familiarity.fit(windows)
     with pytest.raises(ValueError, match="impossible"):

@@ -110,6 +110,18 @@ def test_damaged_corrections_are_refused(
         load_personal(rewrite(corrected, **changes), predictor, base_sha256=BASE)
 
 
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float8_e4m3fn, torch.int8])
+def test_weights_that_no_version_has_are_refused(
+    predictor: Predictor, corrected: bytes, dtype: torch.dtype
+) -> None:
+    metadata, tensors = parse_blob(corrected)
+    name = next(iter(tensors))
+    strange = tensors | {name: torch.ones(tensors[name].shape).to(dtype)}
+    blob = save(strange, metadata={"kinecast": json.dumps(metadata)})
+    with pytest.raises(CheckpointError, match="of a kind that no version has"):
+        load_personal(blob, predictor, base_sha256=BASE)
+
+
 def test_a_correction_without_its_windows_is_refused(
     predictor: Predictor, corrected: bytes
 ) -> None:

@@ -6,7 +6,6 @@ import torch
 from benchmarks.studies import bases
 from benchmarks.studies.bases import (
     BUDGET_STEPS,
-    FULL_ABLATION,
     find_sha256,
     list_recipes,
     load_net,
@@ -57,9 +56,7 @@ def test_the_shipped_base_is_never_trained(place):
     assert find_sha256(recipe, place) == load_checkpoint(SHIPPED).sha256
 
 
-@pytest.mark.parametrize(
-    "name", [n for n in list_recipes() if n.startswith("ablation-")] + [FULL_ABLATION]
-)
+@pytest.mark.parametrize("name", [n for n in list_recipes() if n.startswith("ablation-")])
 def test_an_ablated_base_is_trained_found_and_loaded(name, lab):
     recipe = lab.recipes[name]
     row = train_base(recipe, lab.place)
