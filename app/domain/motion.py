@@ -71,7 +71,7 @@ class VersionStamp:
         kind: what sort of predictor answered.
         sha256: hex digest of the weights' file, None for a predictor without weights.
         requested: what the client asked for.
-        share: the personal decoder's part of this forecast, from 0 to 1; 0 for the base.
+        share: the part of the person's version in this forecast, from 0 to 1; 0 for the base.
         fallback: why it is not what was asked for, None where it is.
     """
 

@@ -37,7 +37,7 @@ class Computed(Struct, frozen=True):
 
     Attributes:
         displacement: metres from the last observed pose; as the net gave it, perhaps not finite.
-        share: the personal decoder's part of it, 0 for the base.
+        share: the part of the person's version in it, 0 for the base.
         fastest: its largest squared step of any joint (square metres), where that is known already.
     """
 
@@ -199,7 +199,7 @@ class Decoders:
 
         Args:
             coverage: probability that the radius is to have.
-            share: the personal decoder's part of the forecast.
+            share: the part of the person's version in the forecast.
             forecaster: that decoder.
         """
         scale = 1.0 if share == 0 else _read_radius_scale(forecaster)

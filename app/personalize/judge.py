@@ -89,11 +89,11 @@ class Figures:
         return len(self.before)
 
     def compare(self, reach: float) -> "Comparison":
-        """Compare a blend with the base, at the last frame."""
+        """Compare the candidate at a reach with the base, at the last frame."""
         return compare(self.before[:, -1], self.after[REACHES.index(reach), :, -1])
 
     def summarise(self, reach: float) -> dict[str, Any]:
-        """Write the figures of a blend as they are stored with a version."""
+        """Write the figures of a reach as they are stored with a version."""
         if not len(self):
             return {"clips": 0}
         after, found = self.after[REACHES.index(reach)], self.compare(reach)

@@ -11,6 +11,7 @@ from benchmarks.studies.bases import Recipe, find_sha256, list_recipes
 from benchmarks.studies.cache import Row, make_key
 from benchmarks.studies.recordings import Place, hash_collection
 from benchmarks.studies.tables import Table
+from models.correction import MOST_CENTRES, MOST_WINDOWS, PART, RANK, STRENGTH, WIDTH
 from models.familiarity import DIRECTIONS, MOST_POINTS, FamiliarityRule
 from models.training.finetune import FinetuneConfig
 
@@ -128,7 +129,7 @@ def subject_of(row: Row) -> str:
 
 
 def describe_fit() -> dict[str, Any]:
-    """Describe everything that decides a personal version but clips, base and seed."""
+    """Describe the settings that decide a personal version, beside clips, base and seed."""
     config = asdict(FinetuneConfig())
     return {
         "finetuning": config | {"rates": dict(config["rates"])},
@@ -136,6 +137,14 @@ def describe_fit() -> dict[str, Any]:
         "blend": BLEND,
         "reaches": REACHES,
         "gate": asdict(FamiliarityRule()) | {"directions": DIRECTIONS, "points": MOST_POINTS},
+        "correction": {
+            "width": WIDTH,
+            "strength": STRENGTH,
+            "rank": RANK,
+            "part": PART,
+            "centres": MOST_CENTRES,
+            "windows": MOST_WINDOWS,
+        },
     }
 
 

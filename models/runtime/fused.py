@@ -1,9 +1,9 @@
 """Forecasts by the kernel in `native/`, where this processor and these nets have one.
 
 Everything about a window happens in one call without Python: placement, encoder, familiarity, the
-person's decoder, the base's, and the way back to metres. Where there is no kernel (another kind of
-processor, no compiler when this was installed, a net of other sizes), `mixed.py` gives the same
-numbers by torch.
+person's decoder, the base's and its correction, and the way back to metres. Where there is no
+kernel (another kind of processor, no compiler when this was installed, a net of other sizes),
+`mixed.py` gives the same numbers by torch.
 """
 
 import weakref
@@ -44,7 +44,7 @@ _bases: "weakref.WeakKeyDictionary[Predictor, PackedBase | None]" = weakref.Weak
 
 @dataclass(frozen=True, eq=False)
 class PackedPerson:
-    """One person's decoder and gate, as the kernel reads them.
+    """One person's decoder, gate and correction, as the kernel reads them.
 
     Attributes:
         decoder: the weights.

@@ -32,7 +32,7 @@ class MixedForecast:
 
     Attributes:
         frames: metres, in the frame of the input.
-        share: the part of each row's personal decoder, 0 for the base; NaN where it cannot tell.
+        share: the part of each row's version, 0 for the base; NaN where it cannot tell.
         failures: what a personal decoder raised, by row; such a row of `frames` means nothing.
     """
 
@@ -60,8 +60,8 @@ def forecast_mixed(
     """Forecast each window by its own version, all of which run behind the encoder of `base`.
 
     A row equals what its `PersonalDecoder`, or the base, makes of it alone. The base's decoder runs
-    once, on the rows that are not wholly personal; a personal one only where it has a share. One
-    that raises harms no other row.
+    once, on the rows that are not wholly personal or have a correction to stand on it; a personal
+    one only where it has a share. One that raises harms no other row.
 
     Args:
         base: the shared net.

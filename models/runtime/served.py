@@ -22,7 +22,7 @@ class ServedDecoder:
     Attributes:
         base: the net that it belongs to.
         packed_base: that net, as the kernel reads it.
-        person: the decoder and its gate, as the kernel reads them.
+        person: the decoder, its gate and its correction, as the kernel reads them.
         metadata: what the file says about itself.
     """
 

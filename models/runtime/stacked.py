@@ -75,7 +75,7 @@ class _Graph:
 
 @dataclass(eq=False)
 class _Slab:
-    """Decoders and gates of everybody, each tensor with a row per person."""
+    """Decoders, gates and corrections of everybody, each tensor with a row per person."""
 
     decoder: dict[str, Tensor]
     gate: dict[str, Tensor]
@@ -103,7 +103,7 @@ class Stack:
         self._slab = self._allocate(FIRST_ROWS)
 
     def add(self, personal: PersonalDecoder) -> StackedDecoder:
-        """Copy a person's decoder and gate to the device.
+        """Copy a person's decoder, gate and correction to the device.
 
         The place is given to somebody else once the decoder is held by nobody.
 

@@ -35,7 +35,8 @@ class _Group:
         share: windows of it in a batch.
         starts: where each window begins.
         room: frames that its clip has from there.
-        moment: place of its moment among all; -1 for none.
+        moment: place of its moment among all, by the middle of the window at the speed of the
+            recording; -1 for none. At a lower speed a window shows what comes before it.
     """
 
     share: int

@@ -125,8 +125,9 @@ def forecast_command(
 ) -> None:
     """Time forecasts alone, everybody by an own decoder: PyTorch, and the kernel in every form.
 
-    The floor is what the bytes and operations of a forecast take at the rates that this processor
-    is measured to reach in the same run.
+    "served" is a whole version, with its gate and correction. The floor is what the bytes and
+    operations of a forecast take at the rates that this processor is measured to reach in the same
+    run.
     """
     from app.commands.bench.forecast import ForecastPlan, measure_forecast  # noqa: PLC0415
 
@@ -172,7 +173,7 @@ def finetune_command(
 def memory_command(
     *,
     decoders: Annotated[
-        str, typer.Option(help="Numbers of cached decoders, about 0.7 MB each.")
+        str, typer.Option(help="Numbers of cached decoders, about 0.6 MB each.")
     ] = "100,1000,5000",
     active: Annotated[int, typer.Option(min=1, help="How many of them forecast.")] = 100,
     rounds: Annotated[int, typer.Option(min=1, help="Forecasts of each of those.")] = 30,

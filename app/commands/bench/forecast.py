@@ -118,19 +118,22 @@ def invent_people(base: Predictor, users: int) -> People:
     stack = Stack(base, find_device("auto") or "cpu")
     stacked = [stack.add(one) for one in decoders]
     rest = _invent_rest(base)
-    served = [replace(person, **rest) for person in forms.get("bfloat16", ())]
+    served = [replace(person, **rest()) for person in forms.get("bfloat16", ())]
     return People(base, packed, decoders, forms, served, stack, stacked)
 
 
-def _invent_rest(base: Predictor) -> dict[str, Packed]:
-    """Make a gate that finds everything familiar and a correction, of a trial of a usual size."""
+def _invent_rest(base: Predictor) -> Callable[[], dict[str, Packed]]:
+    """Make a gate that finds everything familiar and a correction, of a trial of a usual size.
+
+    Each call gives copies of their own, so that no two people share what a processor keeps near.
+    """
     random = torch.Generator().manual_seed(0)
     z = torch.randn(KNOWN_WINDOWS, base.config.continuous, generator=random)
     gate = Familiarity.fit(z, FamiliarityRule(half=1e3))
     coordinates = 3 * base.spec.horizon * base.spec.joints
     missed = torch.randn(KNOWN_WINDOWS, coordinates, generator=random)
     correction = Correction.fit(gate, z, missed)
-    return {"gate": pack_gate(gate), "correction": pack_correction(correction)}
+    return lambda: {"gate": pack_gate(gate), "correction": pack_correction(correction)}
 
 
 def invent_windows(users: int) -> Windows:

@@ -23,7 +23,7 @@ SPREAD = 0.02
 def give_versions(settings: Settings, user_ids: Sequence[str], *, each: int = 1) -> None:
     """Store versions for each user and make the last one active; all weights are different.
 
-    They have no gate, so that every forecast is wholly personal.
+    They have no gate, so that every forecast is wholly personal, and so no correction either.
 
     Args:
         settings: of the service, for its database and its base.

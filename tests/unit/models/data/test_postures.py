@@ -8,7 +8,6 @@ from models.data.postures import assemble, change_posture, find_bones, scale_mov
 from models.skeleton import HIP_CENTER
 
 LAST = 14
-_THIGHS, _SHINS = (13, 17), (14, 18)
 _KNEES, _ANKLES = (13, 17), (14, 18)
 
 
