@@ -71,7 +71,7 @@ coverage: $(VENV)/.test ## all tests with branch coverage, at least 95 % (half a
 	$(MAKE) unit ARGS="--cov --cov-report=term $(ARGS)"
 
 SHARED ?= ../shared/data
-reproduce: $(VENV)/.test ## train the shipped base again, and kill and resume a shorter run (about 10 min)
+reproduce: $(VENV)/.test ## train the shipped base again, and kill and resume a shorter run (about 20 min)
 	$(BIN)/python -m benchmarks.reproduce --data $(SHARED)/utd-mhad --mix $(SHARED)/more-people
 
 stream-check: $(VENV)/.test ## stream real recordings in real time and compare with `evaluate` (about 2 min)
@@ -108,10 +108,10 @@ STUDY := OMP_NUM_THREADS=1 UTD_MHAD=$${UTD_MHAD:-$(SHARED)/utd-mhad} MORE_PEOPLE
 studies: $(VENV)/.test ## all studies, those that give most evidence first (about 4 h)
 	$(STUDY) all $(ARGS)
 
-study-bases: $(VENV)/.test ## train the bases of the studies (about 2 h)
+study-bases: $(VENV)/.test ## train the bases of the studies (about 2 h and a quarter)
 	$(STUDY) bases $(ARGS)
 
-study-main: $(VENV)/.test ## the protocol of the paper and its peers, three seeds (about 75 min with its bases)
+study-main: $(VENV)/.test ## the protocol of the paper and its peers, three seeds (about 90 min with its bases)
 	$(STUDY) main $(ARGS)
 
 study-everybody: $(VENV)/.test ## each of seven subjects, by each trial: is anybody worse off? (about 30 min)
