@@ -46,8 +46,8 @@ from models.training.simlpe import SimlpeConfig
 
 FOLDER = Path("build/studies/bases")
 FULL_STEPS = PretrainConfig().steps
-BUDGET_STEPS, ABLATION_STEPS = 1_200, 800
-"""About five and three minutes of a core: enough to compare by, see models/training/LOG.md."""
+BUDGET_STEPS, ABLATION_STEPS = 1_200, 600
+"""About five minutes of a core, and two and a half: enough to compare by, see models/training/LOG.md."""
 STEP_S, PEER_STEP_S = 0.3, 0.09
 """A step on one core, about."""
 SHIPPED_BASE = "shipped-0"
