@@ -47,7 +47,7 @@ from models.training.simlpe import SimlpeConfig
 FOLDER = Path("build/studies/bases")
 FULL_STEPS = PretrainConfig().steps
 BUDGET_STEPS, ABLATION_STEPS = 1_200, 600
-"""About five minutes of a core, and two and a half: enough to compare by, see models/training/LOG.md."""
+"""About five minutes of a core, and two and a half: enough to compare by, see training/LOG.md."""
 STEP_S, PEER_STEP_S = 0.3, 0.09
 """A step on one core, about."""
 SHIPPED_BASE = "shipped-0"

@@ -10,10 +10,17 @@ from benchmarks.studies.measured import LAST, Measured, join, measure
 from benchmarks.studies.personal import is_promoted, make_served
 from benchmarks.studies.recordings import UTD, is_examinee, read_person
 from benchmarks.studies.study import Lab, Options, Study, Unit
-from benchmarks.studies.tables import RATIO_COLUMNS, Table, tell_ratios
+from benchmarks.studies.tables import (
+    FRAME_COLUMNS,
+    RATIO_COLUMNS,
+    Table,
+    tell_ratio,
+    tell_ratios,
+)
 from models.baselines import Forecaster
 from models.checkpoint import load_checkpoint
 from models.data.clips import Clip
+from models.metrics import FRAMES
 from models.spec import MotionSpec
 
 PEOPLE = {UTD: 7, "precog": 9, "wmft": 19}
@@ -79,7 +86,27 @@ def summarise(rows: Sequence[Row]) -> list[Table]:
     """Show each person, and each collection as one."""
     parts = {part: [row for row in rows if row["part"] == part] for part in TITLES}
     tables = [_show(part, own) for part, own in parts.items() if own]
-    return [*tables, *_compare_personal(parts[PERSONAL])]
+    return [*_sum_up(rows), *tables, *_compare_personal(parts[PERSONAL])]
+
+
+def _sum_up(rows: Sequence[Row]) -> list[Table]:
+    """Show the base on each collection with the interval of every frame, and the mean of all."""
+    lines = []
+    for part in (NEW_PEOPLE, NEW_COLLECTION):
+        own = [row for row in rows if row["part"] == part and is_examinee(row["person"])]
+        means = []
+        for name, found in group_by_collection(own).items():
+            ratios = list(join(found).compare("base", "zero_velocity").values())
+            means.append(sum(ratio.value for ratio in ratios) / len(ratios))
+            told = (tell_ratio(ratio) for ratio in ratios)
+            lines.append((f"{part}, {name.split(',')[0]}", *told, f"{means[-1]:.3f}"))
+        if means:
+            mean = f"{sum(means) / len(means):.3f}"
+            lines.append((f"{part}, mean of {len(means)}", *("" for _ in FRAMES), mean))
+    if not lines:
+        return []
+    title = "People who never train, by collection: base ÷ zero velocity, and 95 % intervals"
+    return [Table(title, ("", *FRAME_COLUMNS, "mean"), lines)]
 
 
 TITLES = {

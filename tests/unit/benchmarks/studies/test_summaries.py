@@ -156,7 +156,13 @@ def test_people_in_the_wild_are_pooled_by_collection():
         make_row(person, part=wild.NEW_COLLECTION, person=person, errors=make_errors())
         for person in ("precog/1", "precog/2", "precog/7")
     ]
-    (table,) = wild.summarise(rows)
+    summary, table = wild.summarise(rows)
+    assert [line[0] for line in summary.rows] == [
+        "new collection, precog",
+        "new collection, mean of 1",
+    ]
+    assert {line[-1] for line in summary.rows} == {"0.500"}
+    assert summary.rows[0][1].startswith("0.500 (0.500 to")
     assert [line[0] for line in table.rows[3:]] == [
         "precog, people who train",
         "precog, people who never train",
