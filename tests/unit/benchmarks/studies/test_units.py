@@ -115,7 +115,7 @@ def test_runs_are_timed(judged, lab, monkeypatch):
     config = seconds.FinetuneConfig(steps=2, copies=1)
     monkeypatch.setattr(seconds, "FinetuneConfig", lambda: config)
     monkeypatch.setattr(seconds, "personalize", lambda *_, **__: None)
-    row = compute(seconds.STUDY, f"utd-mhad/7, {judged} judge, 1 threads", lab)
+    row = compute(seconds.STUDY, f"utd-mhad/2, {judged} judge, 1 threads", lab)
     assert row["run_s"] >= 0
     assert seconds.STUDY.headline(row)
     assert len(seconds.STUDY.summarise([row])) == 2
