@@ -123,6 +123,7 @@ async def test_versions_take_over_a_running_stream(server, settings, subprotocol
         await watcher.hear_forecasts(5)
         await asyncio.to_thread(decide, server, "rollback")
         told.append(await watcher.hear_version())
+        await watcher.hear_forecasts(5)
         await asyncio.to_thread(decide, server, "versions/0/promote")
         told.append(await watcher.hear_version())
         await watcher.hear_forecasts(10)
