@@ -57,16 +57,15 @@ class Correction:
 
         Args:
             familiarity: of these windows; the bumps stand around its points.
-            z: of the windows.
+            z: of the windows, at most `MOST_WINDOWS`.
             missed: truth minus the base's forecast (normalised units).
             width: of the bumps, in the distance of familiarity.
             strength: of the regularisation towards the base.
         """
-        some = thin_out(len(z), MOST_WINDOWS)
         centres = thin_out(len(familiarity.points), MOST_CENTRES)
         near = replace(familiarity, points=familiarity.points[centres])
-        kernel = _bump(near.measure(z[some]), width)
-        missed = missed[some].double()
+        kernel = _bump(near.measure(z), width)
+        missed = missed.double()
         overlap = kernel.T @ kernel
         jitter = 1e-6 * torch.eye(len(centres), dtype=torch.float64)
         normal = overlap + strength * _bump(near.measure_points(), width) + jitter

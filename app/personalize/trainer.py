@@ -26,10 +26,8 @@ from models.checkpoint import (
     load_checkpoint,
     load_personal,
 )
-from models.correction import MOST_WINDOWS, Correction
 from models.data.clips import Clip, data_hash
 from models.decoder import Decoder
-from models.familiarity import Familiarity, thin_out
 from models.metrics import FRAMES
 from models.personal import PersonalDecoder
 from models.predictor import Predictor
@@ -38,9 +36,8 @@ from models.training.finetune import (
     FinetuneConfig,
     FinetuneProgress,
     blend,
-    encode_plain,
-    find_missed,
     finetune,
+    learn_nearby,
 )
 from models.uncertainty import fit_scale
 
@@ -130,10 +127,7 @@ def train(lesson: Lesson, report: Report, *, config: FinetuneConfig | None = Non
 
 def learn_rest(net: Predictor, decoder: Decoder, clips: Sequence[Clip]) -> PersonalDecoder:
     """Make a version of a fitted decoder: learn its gate and correction, which takes a moment."""
-    found = encode_plain(net, clips)
-    gate = Familiarity.fit(found.z)
-    some = found.pick(thin_out(len(found), MOST_WINDOWS))
-    correction = Correction.fit(gate, some.z, find_missed(net, some))
+    gate, correction = learn_nearby(net, clips)
     return PersonalDecoder(net, decoder, gate, {}, correction)
 
 

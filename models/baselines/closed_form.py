@@ -13,7 +13,7 @@ from models.correction import STRENGTH, WIDTH, Correction
 from models.data.clips import Clip
 from models.familiarity import Familiarity
 from models.predictor import Encoded, Predictor
-from models.training.finetune import encode_plain, find_missed
+from models.training.finetune import learn_nearby
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,11 +50,7 @@ class KernelCorrection:
         Raises:
             ValueError: no clip is as long as a window.
         """
-        found = encode_plain(base, clips)
-        familiarity = Familiarity.fit(found.z)
-        missed = find_missed(base, found)
-        correction = Correction.fit(familiarity, found.z, missed, width=width, strength=strength)
-        return cls(base, familiarity, correction)
+        return cls(base, *learn_nearby(base, clips, width=width, strength=strength))
 
     def __call__(
         self, window: Float[Tensor, "batch observe joint 3"]

@@ -27,6 +27,8 @@ _KINDS = dict(
 """What numbers are stored as; MATLAB stores doubles as bytes where these hold them."""
 _NUMERIC_CLASSES = range(6, 16)
 _COMPLEX = 0x0800
+_HEAD_BYTES = 4096
+"""Of an array before its numbers, at most: flags, shape and name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,18 +59,19 @@ def read_array(raw: bytes, name: str, *, most_bytes: int) -> np.ndarray | None:
         raise ValueError("it does not begin like one")
     try:
         for element in _split(raw[HEADER_BYTES:], order):
-            array = _unpack(element, order, most_bytes)
-            if array is not None and _name_of(array, order) == name:
-                return _read_numbers(array, order, most_bytes)
+            head = _unpack(element, order, _HEAD_BYTES)
+            if head is not None and _name_of(head, order) == name:
+                array = _unpack(element, order, _HEAD_BYTES + most_bytes)
+                return None if array is None else _read_numbers(array, order, most_bytes)
     except (zlib.error, struct.error) as error:
         raise ValueError(str(error)) from error
     return None
 
 
 def _unpack(element: _Element, order: str, most_bytes: int) -> bytes | None:
-    """Give the content of an array, packed or not; None for elements of another kind."""
+    """Give the content of an array, or as much of a packed one; None for another kind."""
     if element.kind == _COMPRESSED:
-        whole = zlib.decompressobj().decompress(element.content, most_bytes + 4096)
+        whole = zlib.decompressobj().decompress(element.content, most_bytes)
         if len(whole) < 8:
             raise ValueError("a packed part of it is empty")
         kind, size = struct.unpack_from(f"{order}II", whole)

@@ -15,10 +15,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from models.correction import MOST_WINDOWS, STRENGTH, WIDTH, Correction
 from models.data.augment import Augmentation, augment
 from models.data.clips import Clip
 from models.data.windows import cut_windows
 from models.decoder import Decoder
+from models.familiarity import Familiarity, thin_out
 from models.losses import reconstruction_loss
 from models.predictor import Predictor
 from models.training.config import one_cycle
@@ -128,17 +130,34 @@ def encode_windows(
     return join_encodings(parts)
 
 
-def encode_plain(predictor: Predictor, clips: Sequence[Clip]) -> Encodings:
-    """Cut clips into windows and encode each as it was recorded.
+def learn_nearby(
+    predictor: Predictor,
+    clips: Sequence[Clip],
+    *,
+    width: float = WIDTH,
+    strength: float = STRENGTH,
+) -> tuple[Familiarity, Correction]:
+    """Learn what a person's windows look like, and what the base misses near them.
+
+    Args:
+        predictor: the base.
+        clips: of one person; their windows are taken as they were recorded, and of a long recording
+            only as many are forecast as the equations take.
+        width: of the bumps, in the distance of familiarity.
+        strength: of the regularisation towards the base.
 
     Raises:
         ValueError: no clip is as long as a window.
     """
-    return encode_windows(predictor, _cut(clips, predictor))
+    found = encode_windows(predictor, _cut(clips, predictor))
+    familiarity = Familiarity.fit(found.z)
+    some = found.pick(thin_out(len(found), MOST_WINDOWS))
+    missed = _find_missed(predictor, some)
+    return familiarity, Correction.fit(familiarity, some.z, missed, width=width, strength=strength)
 
 
 @torch.no_grad()
-def find_missed(predictor: Predictor, encodings: Encodings) -> Float[Tensor, "window coordinate"]:
+def _find_missed(predictor: Predictor, encodings: Encodings) -> Float[Tensor, "window coordinate"]:
     """Say what the base misses on some windows: displacements in normalised units."""
     horizon, scale = predictor.spec.horizon, predictor.normalizer.scales[0]
     parts = encodings.split(_ENCODE_BATCH)

@@ -243,21 +243,22 @@ async def talk(world: World, messages: list[str], *, trial: str) -> list[str]:
         "cancel": {"type": "trial.cancel"},
         "clip": {"type": "clip.start"},
     }
-    heard, patience = [], None
+    heard, is_answered = [], False
     async with world.server.stream(OWN, key=world.key, query="?session=robot") as client:
         for name in messages:
             await client.send(**meant[name])
         await client.send(type="ping", id=1, t=0.0)
         while True:
             try:
-                message = await asyncio.wait_for(client.receive(), patience)
+                message = await client.receive(QUIET_S if is_answered else 5.0)
             except TimeoutError:
+                assert is_answered
                 break
             except websockets.ConnectionClosed as closed:
                 heard.append(str(closed.rcvd and closed.rcvd.code))
                 break
             if message["type"] == "pong":
-                patience = QUIET_S
+                is_answered = True
             if message["type"] == "error":
                 heard.append(f"{message['code']} {message.get('detail')}")
     return [re.sub(r"version \d+", "version *", line.replace(trial, "*")) for line in heard]

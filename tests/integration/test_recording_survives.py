@@ -157,12 +157,10 @@ async def leave_recording(settings) -> str:
     with serve(settings) as server:
         server.add_user()
         async with server.stream() as client:
+            await be_patient(client)
             trial = (await begin(client))["trial"]
             await show(client, range(40))
-            await client.send(type="ping", id=1, t=0.0)
-            await client.expect(
-                "pong"
-            )  # all frames were read, even where none was answered in time
+            await client.expect("forecast")
     return trial
 
 

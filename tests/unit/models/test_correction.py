@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from torch import Tensor
 
 from models import correction as module
 from models.baselines.closed_form import KernelCorrection
@@ -20,6 +21,7 @@ from models.data.windows import cut_windows
 from models.familiarity import Familiarity, FamiliarityRule
 from models.personal import PersonalDecoder
 from models.predictor import Predictor
+from models.training import finetune
 from models.training.evaluate import score_forecaster
 
 
@@ -87,16 +89,31 @@ def test_what_was_missed_is_given_back_where_it_was_missed() -> None:
     assert far.abs().max() < 1e-6
 
 
+def test_only_some_windows_of_a_long_recording_are_forecast(
+    base: Predictor, takes: Sequence[Clip], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(finetune, "MOST_WINDOWS", 20)
+    forecast: list[int] = []
+    whole = finetune._find_missed
+
+    def count(base: Predictor, encodings: finetune.Encodings) -> Tensor:
+        forecast.append(len(encodings))
+        return whole(base, encodings)
+
+    monkeypatch.setattr(finetune, "_find_missed", count)
+    gate, correction = finetune.learn_nearby(base, takes)
+    assert forecast == [20]
+    assert len(correction.coefficients) == len(gate.points) > 20
+
+
 def test_long_recordings_are_thinned_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MOST_CENTRES", 10)
-    monkeypatch.setattr(module, "MOST_WINDOWS", 20)
     z = torch.randn(50, 8, generator=torch.manual_seed(0))
     found = Correction.fit(make_gate(50), z, z @ torch.ones(8, COORDINATES))
     assert found.coefficients.shape[0] == 50
     assert (found.coefficients.abs().sum(dim=1) > 0).sum() <= 10
 
 
-@settings(deadline=None)
 @given(points=st.integers(1, 30), width=st.floats(0.1, 3.0), part=st.floats(0, 1))
 def test_a_correction_comes_back_as_it_was_stored(points: int, width: float, part: float) -> None:
     z = torch.randn(points, 8, generator=torch.manual_seed(points))

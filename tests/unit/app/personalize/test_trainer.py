@@ -8,7 +8,7 @@ import torch
 from app.domain.versions import Verdict
 from app.personalize.run import Lesson
 from app.personalize.trainer import train
-from models.checkpoint import dump_checkpoint, load_checkpoint, load_personal
+from models.checkpoint import dump_checkpoint, dump_personal, load_checkpoint, load_personal
 from models.data.clips import Clip
 from models.data.synthetic import SyntheticPerson
 from models.data.synthetic_actions import ACTIONS
@@ -123,6 +123,17 @@ def test_on_a_new_base_a_fit_must_not_lose_against_fits_on_the_old_one(base: byt
     same = replace(again, base=base)
     figures = train(same, lambda _: None, config=QUICK).metrics["rival"]
     assert figures["candidate_cm2"] == figures["active_cm2"]
+
+
+def test_an_active_version_without_a_correction_is_refought_without_one(base: bytes) -> None:
+    clips = tuple(record("one"))
+    active = train(Lesson(base, None, clips), lambda _: None, config=QUICK)
+    net, sha256 = load_checkpoint(base).predictor, load_checkpoint(base).sha256
+    known = load_personal(active.blob, net, base_sha256=sha256)
+    older = dump_personal(known.decoder, {}, base_sha256=sha256, familiarity=known.familiarity)
+    again = Lesson(base, older, clips, active_base=base, active_trials=frozenset({"one"}))
+    figures = train(again, lambda _: None, config=QUICK).metrics["rival"]
+    assert figures["candidate_cm2"] != figures["active_cm2"]
 
 
 def test_an_active_version_that_nobody_can_read_is_nothing_to_compare_with(base: bytes) -> None:
