@@ -3,8 +3,9 @@
 import os
 from pathlib import Path
 
-from app.commands.output import fail
+from app.commands.output import err, fail
 from models.data.clips import Clip, load_clips
+from models.data.splits import without_examination
 from models.data.utd_mhad import RecordingError
 from models.spec import MotionSpec
 
@@ -23,6 +24,19 @@ def read_clips(path: Path, subjects: str | None) -> list[Clip]:
             )
             fail(told, status=2)
     return clips
+
+
+def read_more_people(path: Path | None) -> list[Clip]:
+    """Read what is mixed into training, without the people who only test; say who is left out."""
+    if path is None:
+        return []
+    clips = read_clips(path, None)
+    kept = without_examination(clips)
+    dropped = sorted({clip.person for clip in clips} - {clip.person for clip in kept})
+    if dropped:
+        names = ", ".join("/".join(person) for person in dropped)
+        err.print(f"Not trained on, as they only test: {names}")
+    return kept
 
 
 def refuse_place(option: str, path: Path) -> None:

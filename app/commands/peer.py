@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from app.commands.files import read_clips, refuse_place
+from app.commands.files import read_clips, read_more_people, refuse_place
 from app.commands.output import fail, out
 from app.commands.training import (
     TRAINED_ON,
@@ -17,7 +17,6 @@ from app.commands.training import (
     parse_people,
     progress_bar,
 )
-from models.data.splits import without_examination
 from models.training.simlpe import SimlpeConfig, train_simlpe
 from models.training.simlpe_file import save_simlpe
 
@@ -37,9 +36,7 @@ def pretrain_peer_command(
     refuse_place("--out", out_file)
     config = replace(SimlpeConfig(), seed=seed)
     config = config if steps is None else replace(config, steps=steps)
-    clips = read_clips(data, subjects)
-    if mix is not None:
-        clips += without_examination(read_clips(mix, None))
+    clips = read_clips(data, subjects) + read_more_people(mix)
     with progress_bar("training siMLPe") as report:
         try:
             result = train_simlpe(clips, config, leave_out=parse_people(leave_out), report=report)

@@ -13,6 +13,7 @@ from models.baselines import Forecaster
 from models.checkpoint import Checkpoint
 from models.data.clips import Clip
 from models.data.splits import PERSONAL_TRIAL, select
+from models.data.utd_mhad import SOURCE
 from models.data.windows import cut_windows
 from models.training import evaluate as evaluation
 from models.training.calibrate import measure_coverage
@@ -44,7 +45,7 @@ def score_baselines(
     """
     methods = evaluation.simple_baselines()
     trials = own or [PERSONAL_TRIAL]
-    training = [clip for clip in evaluation.training_clips(everybody) if clip.source == "utd-mhad"]
+    training = [clip for clip in evaluation.training_clips(everybody) if clip.source == SOURCE]
     rows = []
     if by_subject and training:
         rows += evaluation.evaluate_ridge(training, everybody, test, trials=trials)

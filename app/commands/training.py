@@ -9,10 +9,10 @@ from typing import Annotated
 import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from app.commands.files import read_clips, refuse_place
+from app.commands.files import read_clips, read_more_people, refuse_place
 from app.commands.output import err, fail, out
 from models.checkpoint import load_checkpoint, save_checkpoint
-from models.data.splits import TRAIN_SUBJECTS, without_examination
+from models.data.splits import TRAIN_SUBJECTS
 from models.training import loop
 from models.training.calibrate import calibrate
 from models.training.config import PretrainConfig
@@ -24,7 +24,9 @@ Data = Annotated[
 ]
 Mix = Annotated[
     Path | None,
-    typer.Option(help="More people to train on (.npz or a folder of them); examinees never train."),
+    typer.Option(
+        help="More people to train on (.npz or a folder of them), without those who only test."
+    ),
 ]
 Subjects = Annotated[str | None, typer.Option(help="Subjects, such as 1,3,5,7.")]
 Json = Annotated[Path | None, typer.Option("--json", help="Write the figures here; - prints them.")]
@@ -52,9 +54,7 @@ def pretrain_command(
     """Train a base model on recordings (phase 1); a killed run goes on where it was."""
     refuse_place("--out", out_file)
     config = _configure(steps=steps, batch=batch, seed=seed, adversary=adversary, patience=patience)
-    clips = read_clips(data, subjects)
-    if mix is not None:
-        clips += without_examination(read_clips(mix, None))
+    clips = read_clips(data, subjects) + read_more_people(mix)
     left_out = parse_people(leave_out)
     state = out_file.with_suffix(".state")
     if state.exists():

@@ -7,9 +7,9 @@ from functools import lru_cache
 from pathlib import Path
 
 from models.data.clips import Clip, data_hash, load_clips
-from models.data.splits import EXAMINATION, TRAIN_SUBJECTS
+from models.data.splits import only_tests
+from models.data.utd_mhad import SOURCE as UTD
 
-UTD = "utd-mhad"
 COLLECTIONS = (UTD, "precog", "wmft")
 
 
@@ -66,6 +66,4 @@ def list_people(clips: Sequence[Clip]) -> list[str]:
 def is_examinee(person: str) -> bool:
     """Tell whether a person never trains: examinees, and who tests UTD-MHAD."""
     source, subject = person.split("/")
-    if source == UTD:
-        return subject not in TRAIN_SUBJECTS
-    return (source, subject) in EXAMINATION
+    return only_tests((source, subject))

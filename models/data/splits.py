@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.data.clips import Clip
+from models.data.utd_mhad import SOURCE
 
 TRAIN_SUBJECTS = ("1", "3", "5", "7")
 """Subjects of UTD-MHAD on which the base is trained, and on which every choice is made."""
@@ -43,14 +44,17 @@ def select(
     ]
 
 
+def only_tests(person: tuple[str, str]) -> bool:
+    """Tell whether somebody, (source, subject), is kept for tests and so never trains."""
+    source, subject = person
+    if source == SOURCE:
+        return subject not in TRAIN_SUBJECTS
+    return person in EXAMINATION
+
+
 def without_examination(clips: Iterable[Clip]) -> list[Clip]:
     """Drop the people who never train."""
-    return [clip for clip in clips if clip.person not in EXAMINATION]
-
-
-def examination(clips: Iterable[Clip]) -> list[Clip]:
-    """Keep only the people who never train."""
-    return [clip for clip in clips if clip.person in EXAMINATION]
+    return [clip for clip in clips if not only_tests(clip.person)]
 
 
 def split_by_person(clips: Iterable[Clip], held_out: Collection[tuple[str, str]]) -> Split:

@@ -6,8 +6,8 @@ from models.data.splits import (
     EXAMINATION,
     TEST_SUBJECTS,
     TRAIN_SUBJECTS,
-    examination,
     leave_people_out,
+    only_tests,
     select,
     split_by_clip,
     split_by_person,
@@ -35,8 +35,9 @@ def test_nobody_is_trained_on_and_tested() -> None:
 
 def test_the_people_of_the_examination_never_train() -> None:
     assert len(EXAMINATION) == 8
-    assert {c.person for c in examination(CLIPS)} == {("precog", "7")}
-    assert {c.person for c in without_examination(CLIPS)} == {
+    tested = [clip("utd-mhad", subject) for subject in TEST_SUBJECTS]
+    assert all(only_tests(c.person) for c in tested)
+    assert {c.person for c in without_examination(CLIPS + tested)} == {
         ("utd-mhad", "1"),
         ("utd-mhad", "7"),
         ("wmft", "14"),
