@@ -8,8 +8,9 @@ from pathlib import Path
 
 from models.data.clips import Clip, data_hash, load_clips
 from models.data.splits import only_tests
-from models.data.utd_mhad import SOURCE as UTD
+from models.data.utd_mhad import SOURCE
 
+UTD = SOURCE
 COLLECTIONS = (UTD, "precog", "wmft")
 
 
