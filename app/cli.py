@@ -92,6 +92,16 @@ app.add_typer(keys.app, name="keys")
 app.add_typer(db.app, name="db")
 
 
+def load_command(lazy: Lazy) -> typer.Typer:
+    """Import a command."""
+    target = getattr(importlib.import_module(lazy.module), lazy.attribute)
+    if isinstance(target, typer.Typer):
+        return target
+    made = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    made.command(context_settings={"help_option_names": ["-h", "--help"]})(target)
+    return made
+
+
 def _add_lazily(lazy: Lazy) -> None:
     """Register a command that hands its arguments on to the real one."""
 
@@ -102,14 +112,7 @@ def _add_lazily(lazy: Lazy) -> None:
         context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
     )
     def run(context: typer.Context) -> None:
-        target = getattr(importlib.import_module(lazy.module), lazy.attribute)
-        if not isinstance(target, typer.Typer):
-            function, target = (
-                target,
-                typer.Typer(add_completion=False, pretty_exceptions_enable=False),
-            )
-            target.command(context_settings={"help_option_names": ["-h", "--help"]})(function)
-        target(args=context.args, prog_name=f"kinecast {lazy.name}")
+        load_command(lazy)(args=context.args, prog_name=f"kinecast {lazy.name}")
 
 
 for _lazy in LAZY:

@@ -1,6 +1,7 @@
 """Reading the pages of the documentation."""
 
 import re
+import shlex
 from pathlib import Path
 
 from markdown_it import MarkdownIt
@@ -56,6 +57,18 @@ def read_rows(text: str, first: str) -> list[list[str]]:
 def quoted(text: str) -> set[str]:
     """Everything in backticks."""
     return set(re.findall(r"`([^`\n]+)`", text))
+
+
+def list_commands(text: str) -> list[list[str]]:
+    """The arguments of each `kinecast …` in shell blocks and in backticks, without placeholders."""
+    shell = "\n".join(read_blocks(text, "sh") + read_blocks(text, "bash")).replace("\\\n", " ")
+    found = []
+    for line in [*shell.splitlines(), *quoted(text)]:
+        if called := re.search(r"(?:^|[\s(/])kinecast ((?:[a-z-]+|--[a-z]+)\b.*)", line):
+            end = re.split(r"\s(?:\||&&|&|>|2>|;)|\)\s*$|;", called[1])[0]
+            words = shlex.split(end, comments=True)
+            found.append([word for word in words if not re.search(r"[…$\[\]]", word)])
+    return found
 
 
 def list_links(text: str) -> list[str]:
