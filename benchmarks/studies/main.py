@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.studies.cache import Row
+from benchmarks.studies.elsewhere import compare_elsewhere
 from benchmarks.studies.measured import LAST, Measured, average, join, measure
 from benchmarks.studies.peers import RIDGE, SIMLPE, describe_simlpe_fit, make_ridge, make_simlpe
 from benchmarks.studies.personal import compare_versions
@@ -134,6 +135,7 @@ def summarise(rows: Sequence[Row]) -> list[Table]:
     return [
         _compare_with_paper(families),
         _compare_methods(families),
+        compare_elsewhere(families, METHODS),
         *(_show_errors(family, list(seeds.values())) for family, seeds in families.items()),
     ]
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.studies import ablation, everybody, growth, main, seconds, training, unseen, wild
+from benchmarks.studies.elsewhere import ELSEWHERE
 from benchmarks.studies.measured import Measured
 from benchmarks.studies.recordings import read_person
 from benchmarks.studies.runner import STUDIES
@@ -128,6 +129,17 @@ def test_the_protocol_is_summed_up_over_seeds_and_families():
     assert seeds["shipped, base"] == "2"
     assert seeds["ridge, base"] == "1"
     assert len(find(tables, "cm², mean over frames 1..k: shipped").rows) == 9
+
+
+def test_peers_elsewhere_are_divided_by_cell_by_cell():
+    rows = make_main_rows(served=0.7, plain=0.6)
+    table = find(main.summarise(rows), "Error ÷ that of the peers in another")
+    both_seeds = 1.05  # the second seed's factor is a tenth above the first one's
+    assert [line[1] for line in table.rows] == ["siMLPe", "siMLPe, personal"]
+    errors = np.array(Measured.from_json(rows[0]["errors"]).cm2("served")) * both_seeds
+    ratios = np.array([errors / ELSEWHERE["siMLPe, personal"][who] for who in TEST_SUBJECTS])
+    told = (ratios.mean(), ratios[:, 1:].mean(), ratios[:, 1:].max(), ratios.max())
+    assert table.rows[1][3:] == tuple(f"{value:.3f}" for value in told)
 
 
 def test_seeds_that_lack_a_subject_are_not_summed_up():
