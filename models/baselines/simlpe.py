@@ -26,11 +26,12 @@ class SimlpeSizes:
 
     Attributes:
         layers: blocks between the way in and the way out.
-        canonical_heading: turn people to face one way first, see `Normalizer`.
+        canonical_heading: turn people to face one way first, see `Normalizer`; as published it does
+            not, and it is better so (LOG.md).
     """
 
     layers: int = 48
-    canonical_heading: bool = True
+    canonical_heading: bool = False
 
 
 class Block(nn.Module):

@@ -97,7 +97,7 @@ def test_a_file_gives_back_the_net_and_where_it_comes_from(
     assert loaded.sha256 == sha256
     assert loaded.metadata["command"] == "this one"
     assert loaded.metadata["training"]["steps"] == 3
-    assert loaded.metadata["config"] == {"layers": 2, "canonical_heading": True}
+    assert loaded.metadata["config"] == {"layers": 2, "canonical_heading": False}
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
