@@ -2,7 +2,7 @@
 
 Written from its description (Guo et al., Back to MLP: A Simple Baseline for Human Motion
 Prediction, WACV 2023), in sizes of this task: 15 frames in, 15 frames out, so that as many
-frequencies as frames are enough. Poses go through our normalisation instead of in raw metres.
+frequencies as frames are enough. Poses go in without their place and scaled, not in raw metres.
 """
 
 from dataclasses import asdict, dataclass
