@@ -3,7 +3,7 @@
 #   docker build --tag kinecast .
 #   docker run --rm -p 127.0.0.1:8000:8000 -v kinecast:/var/lib/kinecast kinecast
 #
-# Where PyTorch's index cannot be reached: --build-arg TORCH_INDEX=https://pypi.org/simple (larger: with CUDA).
+# Where PyTorch's index cannot be reached: --build-arg TORCH_INDEX=<your package index> (PyPI's wheels are larger: with CUDA).
 
 # not the slim one: the kernel wants a C compiler
 FROM python:3.11 AS build
