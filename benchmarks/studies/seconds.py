@@ -111,7 +111,8 @@ def probe_speed(net: Predictor, trial: Sequence[Clip], *, steps: int = 20) -> di
     """Time the encoding of a copy of every window, and a step of a fit."""
     config = replace(FinetuneConfig(), copies=1)
     with torch.random.fork_rng(devices=[]):
-        encode_clips(net, trial, config)  # the first time takes longer
+        encodings = encode_clips(net, trial, config)  # the first time takes longer
+        fit_decoder(net, encodings, replace(FinetuneConfig(), steps=1))  # here too
         began = monotonic()
         encodings = encode_clips(net, trial, config)
         encoded = monotonic()
