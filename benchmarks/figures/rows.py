@@ -39,5 +39,13 @@ def read_budgets() -> list[tuple[str, float, Measured]]:
     ]
 
 
+def read_corrections() -> list[tuple[str, float, Measured]]:
+    """Give errors of the correction in closed form by subject, and the seconds that it took."""
+    rows = [row for row in _read(seconds.STUDY.name) if "correction" in row]
+    return [
+        (subject_of(row), float(row["fit_s"]), Measured.from_json(row["errors"])) for row in rows
+    ]
+
+
 def _read(study: str) -> Sequence[Row]:
     return list(Cache(RESULTS / f"{study}.jsonl").read().values())

@@ -5,8 +5,8 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmarks.figures.rows import read_budgets, read_seeds
-from benchmarks.figures.style import COLOURS, INK, NAMES, SOFT
+from benchmarks.figures.rows import read_budgets, read_corrections, read_seeds
+from benchmarks.figures.style import COLOURS, INK, NAMES
 from benchmarks.studies.main import PAPER_ROWS, SHIPPED, Seeds
 from models.data.splits import TEST_SUBJECTS
 from models.metrics import FRAMES
@@ -86,17 +86,31 @@ def draw_actions() -> Figure:
 
 
 def draw_seconds() -> Figure:
-    """Draw error against the seconds that a fit may take."""
-    rows = read_budgets()
-    figure, axis = plt.subplots(figsize=(6, 3.4), layout="constrained")
-    for subject in sorted({subject for subject, _, _ in rows}):
-        found = sorted((budget, one) for name, budget, one in rows if name == subject)
+    """Draw error against the seconds that a fit may take: versions, plain fits, closed form."""
+    fits, corrections = read_budgets(), read_corrections()
+    subjects = sorted({subject for subject, _, _ in fits})
+    size = (1 + 2.6 * len(subjects), 3.4)
+    figure, axes = plt.subplots(1, len(subjects), figsize=size, sharey=True, layout="constrained")
+    for axis, subject in zip(np.atleast_1d(axes), subjects, strict=True):
+        found = sorted((budget, one) for name, budget, one in fits if name == subject)
         budgets = [budget for budget, _ in found]
-        ratios = [one.ratio("plain", "base") for _, one in found]
-        axis.plot(budgets, ratios, marker="o", ms=3)
-        _label(axis, budgets[-1], ratios[-1], f"subject {subject}", SOFT)
-    axis.set(xscale="log", xlabel="seconds of fitting, one core", ylabel="error at 500 ms ÷ base")
-    axis.set_title("What a second of fitting is worth")
+        for method, style in (("gated", "-"), ("plain", "--")):
+            ratios = [one.ratio(method, "base") for _, one in found]
+            label = (
+                "version, gated and corrected" if method == "gated" else "fitted, all of the way"
+            )
+            axis.plot(
+                budgets, ratios, style, marker="o", ms=3, color=COLOURS["served"], label=label
+            )
+        for spent, one in (taken[1:] for taken in corrections if taken[0] == subject):
+            ratio = one.ratio("plain", "base")
+            axis.plot(spent, ratio, "D", ms=5, color=COLOURS["base"], label="closed form alone")
+        axis.set(xscale="log", title=f"subject {subject}", xlabel="seconds of one core")
+        axis.set_xticks(budgets, [f"{budget:g}" for budget in budgets])
+        axis.minorticks_off()
+    np.atleast_1d(axes)[0].set_ylabel("squared error at 500 ms ÷ base")
+    np.atleast_1d(axes)[-1].legend(fontsize=7)
+    figure.suptitle("What a second of fitting is worth")
     return figure
 
 

@@ -9,6 +9,7 @@ from benchmarks.figures import __main__ as figures
 from benchmarks.figures import rows
 from benchmarks.figures.people import draw_poses
 from benchmarks.figures.rows import MissingError
+from benchmarks.figures.tables import draw_seconds
 from models.data.splits import TEST_SUBJECTS
 from models.metrics import FRAMES
 
@@ -53,6 +54,29 @@ def test_figures_show_the_rows_and_do_not_change_by_themselves(
     assert set(first) == {"table.svg", "horizon.svg", "actions.svg"}
     assert draw(folder, monkeypatch, "table") == 0
     assert (folder / "table.svg").read_bytes() == first["table.svg"]
+
+
+def make_second(subject: str, **settings: object) -> dict[str, object]:
+    methods = {"base": 4.0, "plain": 3.5, "gated": 3.0}
+    kept = {"windows": [10], "actions": ["1"], "trials": ["2"]}
+    errors = kept | {"mean_cm2": {name: [[size] * len(FRAMES)] for name, size in methods.items()}}
+    name = "-".join(str(value) for value in settings.values())
+    row = {"unit": f"{subject}, {name}", "person": f"utd-mhad/{subject}", "errors": errors}
+    return row | {"fit_s": 0.8} | settings
+
+
+@pytest.mark.parametrize("subjects", ["2", "246"])
+def test_seconds_are_drawn_for_who_was_measured(
+    subjects: str, results: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = [make_second(one, budget_s=budget) for one in subjects for budget in (1, 5, 20)]
+    found += [make_second(one, correction="closed form") for one in subjects]
+    (results / "seconds.jsonl").write_text("\n".join(json.dumps(row) for row in found))
+    panels = draw_seconds().axes
+    assert [axis.get_title() for axis in panels] == [f"subject {one}" for one in subjects]
+    for axis in panels:
+        gated, plain, closed = (list(line.get_ydata()) for line in axis.get_lines())
+        assert (gated, plain, closed) == ([0.75] * 3, [0.875] * 3, [0.875])
 
 
 def test_what_was_not_measured_is_not_drawn_but_said(
