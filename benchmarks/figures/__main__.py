@@ -11,7 +11,8 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from benchmarks.figures.people import draw_latent, draw_poses
+from benchmarks.figures.latent import draw_latent
+from benchmarks.figures.people import draw_poses
 from benchmarks.figures.rows import MissingError
 from benchmarks.figures.style import save
 from benchmarks.figures.tables import draw_actions, draw_horizon, draw_seconds, draw_table

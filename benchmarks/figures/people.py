@@ -1,4 +1,4 @@
-"""Figures from recordings: people as they moved and were forecast, and where their motion lies."""
+"""Figures from recordings: people as they moved and were forecast."""
 
 from collections.abc import Mapping, Sequence
 
@@ -26,8 +26,6 @@ _SPEC = MotionSpec()
 _OBSERVED, _SHOWN = (0, 7, 14), (2, 5, 8, 11, 14)
 _STEP_M = 0.75
 """Between two poses that are drawn beside each other."""
-_LATENT_SUBJECT = "7"
-_TINTS = 27
 
 
 def draw_poses() -> Figure:
@@ -38,8 +36,8 @@ def draw_poses() -> Figure:
     """
     figure, axes = plt.subplots(3, 1, figsize=(10, 8.4), layout="constrained")
     for axis, subject in zip(axes, TEST_SUBJECTS, strict=True):
-        clips = _read(subject, *TEST_TRIALS)
-        methods = _make_methods(_read(subject, PERSONAL_TRIAL))
+        clips = read_clips(subject, *TEST_TRIALS)
+        methods = _make_methods(read_clips(subject, PERSONAL_TRIAL))
         windows = cut_windows(clips, _SPEC)
         made = {name: _run(one, windows.observed) for name, one in methods.items()}
         errors = {
@@ -63,35 +61,12 @@ def draw_poses() -> Figure:
     return figure
 
 
-def draw_latent() -> Figure:
-    """Draw the latent of a training subject's windows along its two main directions, by action."""
-    net = load_checkpoint(SHIPPED).predictor
-    clips = _read(_LATENT_SUBJECT)
-    windows = cut_windows(clips, _SPEC, stride=3)
-    with torch.inference_mode():
-        z = net.encode(torch.from_numpy(windows.observed)).z.numpy()
-    _, spread, directions = np.linalg.svd(z - z.mean(axis=0), full_matrices=False)
-    placed = (z - z.mean(axis=0)) @ directions[:2].T
-    actions = np.array([int(clips[clip].action) for clip in windows.clip])
-    part = 100 * np.square(spread[:2]).sum() / np.square(spread).sum()
-    figure, axis = plt.subplots(figsize=(7.4, 6), layout="constrained")
-    tints = plt.get_cmap("turbo")
-    for action in np.unique(actions):
-        own = placed[actions == action]
-        tint = tints((action - 1) / (_TINTS - 1))
-        axis.scatter(
-            own[:, 0], own[:, 1], s=3, color=tint, alpha=0.5, linewidths=0, rasterized=True
-        )
-        x, y = np.median(own, axis=0).tolist()
-        axis.text(x, y, str(action), color=INK, fontsize=8, ha="center", weight="bold")
-    axis.set(xlabel="first principal direction of z", ylabel="second")
-    axis.set_title(
-        f"Subject {_LATENT_SUBJECT} in the latent, by action: {part:.0f} % of the variance"
-    )
-    return figure
+def read_clips(subject: str, *trials: str) -> list[Clip]:
+    """Read the clips of a subject of UTD-MHAD, of some trials or of all.
 
-
-def _read(subject: str, *trials: str) -> list[Clip]:
+    Raises:
+        MissingError: the recordings are not where they were looked for.
+    """
     place = Place.default()
     if not place.utd.exists():
         raise MissingError("UTD_MHAD=FOLDER make figures")

@@ -3,10 +3,12 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from benchmarks.figures import __main__ as figures
 from benchmarks.figures import rows
+from benchmarks.figures.latent import find_directions, find_nearest
 from benchmarks.figures.people import draw_poses
 from benchmarks.figures.rows import MissingError
 from benchmarks.figures.tables import draw_seconds
@@ -93,3 +95,20 @@ def test_without_recordings_it_says_where_to_point(monkeypatch: pytest.MonkeyPat
     monkeypatch.setenv("UTD_MHAD", "nowhere")
     with pytest.raises(MissingError, match="UTD_MHAD"):
         draw_poses()
+
+
+def test_directions_tell_labels_apart_where_the_spread_does_not() -> None:
+    random = np.random.default_rng(0)
+    labels = np.repeat([3, 5, 9], 200)
+    z = random.normal(size=(600, 4)) * [5.0, 1.0, 1.0, 1.0]  # the first says nothing
+    z[:, 1] += 10.0 * (labels == 5)
+    z[:, 2] += 4.0 * (labels == 9)
+    directions = find_directions(z, labels)
+    assert directions.shape == (4, 2)
+    best = np.abs(directions) / np.linalg.norm(directions, axis=0)
+    assert best[[0, 3]].max() < 0.1
+    assert best[1, 0] > best[2, 0]
+    placed = z @ directions
+    assert np.std(placed[labels == 3], axis=0) == pytest.approx(1.0, abs=0.15)
+    centres = {kind: placed[labels == kind].mean(axis=0) for kind in (3, 5, 9)}
+    assert np.mean(find_nearest(placed, centres) == labels) > 0.95
