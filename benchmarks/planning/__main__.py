@@ -26,6 +26,7 @@ from benchmarks.planning.robot import Constants
 from benchmarks.planning.rounds import TASKS, play
 from benchmarks.planning.tune import MARGINS, choose_constants
 from benchmarks.studies.cache import RESULTS
+from models.checkpoint import SHIPPED, load_checkpoint
 from models.data.clips import Clip, load_clips
 from models.data.splits import TEST_SUBJECTS, TRAIN_SUBJECTS
 from models.training import ledger
@@ -45,7 +46,8 @@ def main() -> None:
         for subject in TEST_SUBJECTS
         for scene in read_subject(clips, subject, personal=True, say=say)
     ]
-    report = Report(constants, play_all(scenes, constants), count(scenes), tuned)
+    base = load_checkpoint(SHIPPED).sha256
+    report = Report(constants, play_all(scenes, constants), count(scenes), base, tuned)
     tables = report.make_tables()
     print("\n".join(table.as_markdown() for table in tables))
     options.json.write_text(json.dumps(report.as_json(), indent=1) + "\n")

@@ -22,12 +22,14 @@ class Report:
         constants: of the planner, as chosen on other people.
         tallies: of every margin and method.
         people: whose clips, and how many.
+        base: sha256 of the base that forecast, and that versions were fitted on.
         tuned: what the constants were chosen from; empty where they were given.
     """
 
     constants: Constants
     tallies: Tallies
     people: Mapping[str, int]
+    base: str
     tuned: Sequence[Mapping[str, Any]] = ()
 
     @property
@@ -82,6 +84,7 @@ class Report:
             for margin in self.margins
         }
         return {
+            "base": self.base,
             "constants": asdict(self.constants),
             "clips": dict(self.people),
             "margins": margins,

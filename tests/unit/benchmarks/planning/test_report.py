@@ -41,7 +41,7 @@ def make_tally(shift=0.0):
 @pytest.fixture
 def report():
     tallies = {(m, name): make_tally(0.01 * k) for m in MARGINS for k, name in enumerate(METHODS)}
-    return Report(Constants(margin=0.2), tallies, {"2": 40})
+    return Report(Constants(margin=0.2), tallies, {"2": 40}, "ab12")
 
 
 def test_measures_are_ratios_of_sums_over_all_rounds():
@@ -84,6 +84,7 @@ def test_tables_have_every_forecast_and_its_figures(report):
 def test_report_survives_json_with_the_constants_as_they_were(report):
     kept = json.loads(json.dumps(report.as_json()))
     assert command.restore(kept["constants"]) == report.constants
+    assert kept["base"] == "ab12"
     assert set(kept["margins"]) == {"0.1", "0.2"}
     assert kept["differences"]["0.2"]["base - zero velocity"]["closest_cm"]["value"] == 1.0
 
