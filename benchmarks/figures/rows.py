@@ -25,8 +25,11 @@ def read_seeds(family: str) -> Seeds:
     return seeds
 
 
-def read_budgets() -> list[tuple[str, float, Measured]]:
-    """Give errors by subject and seconds of fitting.
+def read_fits(method: str) -> list[tuple[str, float, float]]:
+    """Give subject, seconds, and error ÷ base at half a second, of each fit within a budget.
+
+    Args:
+        method: of `seconds.METHODS`.
 
     Raises:
         MissingError: nothing was measured.
@@ -34,17 +37,18 @@ def read_budgets() -> list[tuple[str, float, Measured]]:
     rows = [row for row in _read(seconds.STUDY.name) if "budget_s" in row]
     if not rows:
         raise MissingError("make study-seconds")
-    return [
-        (subject_of(row), float(row["budget_s"]), Measured.from_json(row["errors"])) for row in rows
-    ]
+    return sorted(_place(row, method) for row in rows)
 
 
-def read_corrections() -> list[tuple[str, float, Measured]]:
-    """Give errors of the correction in closed form by subject, and the seconds that it took."""
+def read_corrections() -> list[tuple[str, float, float]]:
+    """Give the same of each correction in closed form."""
     rows = [row for row in _read(seconds.STUDY.name) if "correction" in row]
-    return [
-        (subject_of(row), float(row["fit_s"]), Measured.from_json(row["errors"])) for row in rows
-    ]
+    return sorted(_place(row, "plain") for row in rows)
+
+
+def _place(row: Row, method: str) -> tuple[str, float, float]:
+    ratio = Measured.from_json(row["errors"]).ratio(method, "base")
+    return subject_of(row), seconds.tell_cost(row, method), ratio
 
 
 def _read(study: str) -> Sequence[Row]:

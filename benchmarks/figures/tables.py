@@ -1,11 +1,13 @@
 """Figures from the rows of the studies alone: the table, the horizon, actions, seconds."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmarks.figures.rows import read_budgets, read_corrections, read_seeds
+from benchmarks.figures.rows import read_corrections, read_fits, read_seeds
 from benchmarks.figures.style import COLOURS, INK, NAMES
 from benchmarks.studies.main import PAPER_ROWS, SHIPPED, Seeds
 from models.data.splits import TEST_SUBJECTS
@@ -13,6 +15,7 @@ from models.metrics import FRAMES
 from models.spec import MotionSpec
 from models.training.evaluate import PUBLISHED
 
+_SECONDS = (1, 2, 5, 10, 20, 60)
 _STEP_MS = 1000 / MotionSpec().rate_hz
 
 
@@ -87,31 +90,34 @@ def draw_actions() -> Figure:
 
 def draw_seconds() -> Figure:
     """Draw error against the seconds that a fit may take: versions, plain fits, closed form."""
-    fits, corrections = read_budgets(), read_corrections()
-    subjects = sorted({subject for subject, _, _ in fits})
+    curves = {
+        ("version, gated and corrected", "-"): read_fits("gated"),
+        ("fitted, all of the way", "--"): read_fits("plain"),
+    }
+    closed = read_corrections()
+    subjects = sorted({subject for fits in curves.values() for subject, *_ in fits})
     size = (1 + 2.6 * len(subjects), 3.4)
     figure, axes = plt.subplots(1, len(subjects), figsize=size, sharey=True, layout="constrained")
     for axis, subject in zip(np.atleast_1d(axes), subjects, strict=True):
-        found = sorted((budget, one) for name, budget, one in fits if name == subject)
-        budgets = [budget for budget, _ in found]
-        for method, style in (("gated", "-"), ("plain", "--")):
-            ratios = [one.ratio(method, "base") for _, one in found]
-            label = (
-                "version, gated and corrected" if method == "gated" else "fitted, all of the way"
-            )
+        for (label, style), fits in curves.items():
             axis.plot(
-                budgets, ratios, style, marker="o", ms=3, color=COLOURS["served"], label=label
+                *_pick(fits, subject), style, marker="o", ms=3, c=COLOURS["served"], label=label
             )
-        for spent, one in (taken[1:] for taken in corrections if taken[0] == subject):
-            ratio = one.ratio("plain", "base")
-            axis.plot(spent, ratio, "D", ms=5, color=COLOURS["base"], label="closed form alone")
+        axis.plot(*_pick(closed, subject), "D", ms=5, c=COLOURS["base"], label="closed form alone")
         axis.set(xscale="log", title=f"subject {subject}", xlabel="seconds of one core")
-        axis.set_xticks(budgets, [f"{budget:g}" for budget in budgets])
+        axis.set_xticks(_SECONDS, [f"{one}" for one in _SECONDS])
         axis.minorticks_off()
     np.atleast_1d(axes)[0].set_ylabel("squared error at 500 ms ÷ base")
     np.atleast_1d(axes)[-1].legend(fontsize=7)
     figure.suptitle("What a second of fitting is worth")
     return figure
+
+
+def _pick(
+    points: Sequence[tuple[str, float, float]], subject: str
+) -> tuple[list[float], list[float]]:
+    own = [(spent, ratio) for who, spent, ratio in points if who == subject]
+    return [spent for spent, _ in own], [ratio for _, ratio in own]
 
 
 def _divide(seeds: Seeds, method: str, subject: str) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 siMLPe of 48 layers after 65 epochs and a ridge on the window, both trained on subjects 1, 3, 5 and
 7 of UTD-MHAD alone, before and after trial 1: all of siMLPe fine-tuned, the ridge in closed form.
+Measured once on the same recordings, outside of this repository; no command here prints them again.
 """
 
 from collections.abc import Mapping

@@ -174,6 +174,12 @@ def summarise(rows: Sequence[Row]) -> list[Table]:
     return [_show_fits(fits), _show_runs(runs)]
 
 
+def tell_cost(row: Row, method: str) -> float:
+    """Give the seconds that a method of a row took, gate and correction included if it has them."""
+    cost: float = row.get("encoding_s", 0.0) + row["fit_s"]
+    return cost + row["gate_s"] if method == "gated" else cost
+
+
 def _show_fits(rows: Sequence[Row]) -> Table:
     lines, shown = [], set[str]()
     for row in rows:
@@ -182,14 +188,17 @@ def _show_fits(rows: Sequence[Row]) -> Table:
             lines.append((person, "base", "-", "-", "-", *cells(found.cm2("base"))))
             shown.add(person)
         budget = f"{row['budget_s']:g} s" if "budget_s" in row else row["correction"]
-        cost = (
-            budget,
-            f"{row.get('encoding_s', 0.0) + row['fit_s']:.1f}",
-            f"{row.get('steps', '-')}",
-        )
+        steps = f"{row.get('steps', '-')}"
         lines += [
-            (person, METHODS[method], *cost, *cells(found.cm2(method)))
-            for method in METHODS
+            (
+                person,
+                name,
+                budget,
+                f"{tell_cost(row, method):.1f}",
+                steps,
+                *cells(found.cm2(method)),
+            )
+            for method, name in METHODS.items()
             if method in found.sums
         ]
     columns = ("person", "", "budget", "seconds", "steps", *FRAME_COLUMNS)

@@ -63,7 +63,7 @@ def list_commands(text: str) -> list[list[str]]:
     """The arguments of each `kinecast …` in shell blocks and in backticks, without placeholders."""
     shell = "\n".join(read_blocks(text, "sh") + read_blocks(text, "bash")).replace("\\\n", " ")
     found = []
-    for line in [*shell.splitlines(), *quoted(text)]:
+    for line in [*shell.splitlines(), *sorted(quoted(text))]:
         if called := re.search(r"(?:^|[\s(/])kinecast ((?:[a-z-]+|--[a-z]+)\b.*)", line):
             end = re.split(r"\s(?:\||&&|&|>|2>|;)|\)\s*$|;", called[1])[0]
             words = shlex.split(end, comments=True)

@@ -78,6 +78,29 @@ def test_commands_on_pages_can_be_parsed(page):
         assert explain_command(words) == "", f"kinecast {' '.join(words)}"
 
 
+def test_commands_are_found_in_blocks_and_in_backticks():
+    page = """
+Run `kinecast keys create --name "robot 7"`, or `kinecast walk`; kinecast is its name.
+
+```sh
+kinecast evaluate --data mine.npz \\
+  --subjects p1 | tee log    # everybody
+export KEY=$(kinecast keys create --scope predict)
+.venv/bin/kinecast calibrate $D --data [FILE] --fold …
+```
+
+```python
+kinecast = 3
+```
+"""
+    assert list_commands(page) == [
+        ["evaluate", "--data", "mine.npz", "--subjects", "p1"],
+        ["keys", "create", "--scope", "predict"],
+        ["calibrate", "--data", "--fold"],
+        *sorted([["keys", "create", "--name", "robot 7"], ["walk"]]),
+    ]
+
+
 def explain_command(words):
     """Say what is wrong with the arguments of a command; nothing where it would run."""
     lazy = {one.name: load_command(one) for one in LAZY if one.name == words[0]}

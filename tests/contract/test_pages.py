@@ -5,10 +5,9 @@ import re
 from pathlib import Path
 
 import pytest
-import typer
 from typer.main import get_command
 
-from app.cli import LAZY, app
+from app.cli import LAZY, app, load_command
 from tests.conftest import ROOT
 from tests.contract.pages import (
     list_links,
@@ -58,27 +57,23 @@ def test_every_module_that_a_page_imports_exists(name):
         assert importlib.util.find_spec(module) is not None, module
 
 
-def list_commands() -> set[str]:
+def name_commands() -> set[str]:
     """Every command as it is typed, groups by their commands."""
-    lazily = {lazy.name: lazy for lazy in LAZY}
+    lazily = {lazy.name: load_command(lazy) for lazy in LAZY}
     found = set()
     for name, command in get_command(app).commands.items():
-        group = command
-        if name in lazily:
-            target = getattr(importlib.import_module(lazily[name].module), lazily[name].attribute)
-            if isinstance(target, typer.Typer):
-                group = get_command(target)
+        group = get_command(lazily[name]) if name in lazily else command
         found |= {f"{name} {sub}" for sub in getattr(group, "commands", {})} or {name}
     return found
 
 
 def test_every_command_is_in_the_pages():
     text = "\n".join(map(read_page, NAMES))
-    assert {command for command in list_commands() if f"kinecast {command}" not in text} == set()
+    assert {command for command in name_commands() if f"kinecast {command}" not in text} == set()
 
 
 def test_every_command_that_a_page_names_exists():
-    commands = list_commands()
+    commands = name_commands()
     words = {command.split()[0] for command in commands}
     wrong = []
     for name in NAMES:

@@ -64,7 +64,7 @@ def make_second(subject: str, **settings: object) -> dict[str, object]:
     errors = kept | {"mean_cm2": {name: [[size] * len(FRAMES)] for name, size in methods.items()}}
     name = "-".join(str(value) for value in settings.values())
     row = {"unit": f"{subject}, {name}", "person": f"utd-mhad/{subject}", "errors": errors}
-    return row | {"fit_s": 0.8} | settings
+    return row | {"fit_s": 0.8 * float(str(settings.get("budget_s", 1))), "gate_s": 1.0} | settings
 
 
 @pytest.mark.parametrize("subjects", ["2", "246"])
@@ -77,8 +77,12 @@ def test_seconds_are_drawn_for_who_was_measured(
     panels = draw_seconds().axes
     assert [axis.get_title() for axis in panels] == [f"subject {one}" for one in subjects]
     for axis in panels:
-        gated, plain, closed = (list(line.get_ydata()) for line in axis.get_lines())
-        assert (gated, plain, closed) == ([0.75] * 3, [0.875] * 3, [0.875])
+        lines = [(list(line.get_xdata()), list(line.get_ydata())) for line in axis.get_lines()]
+        assert lines == [
+            ([1.8, 5.0, 17.0], [0.75] * 3),  # gate and correction take a second more
+            ([0.8, 4.0, 16.0], [0.875] * 3),
+            ([0.8], [0.875]),
+        ]
 
 
 def test_what_was_not_measured_is_not_drawn_but_said(
