@@ -82,7 +82,7 @@ def wait_for(check):
 def test_imported_recordings_become_a_judged_version(tmp_path, environment):
     write_recordings(tmp_path / "own.npz")
     arguments = ("import", "--user", "ada", "--data", str(tmp_path / "own.npz"), "--json")
-    with serving(environment) as (url, _):
+    with serving(environment | {"KINECAST_FINETUNE_STEPS": "60"}) as (url, _):
         done = run(*arguments, "--url", url, "--wait", env=environment)
         assert done.returncode == 0, done.stderr
         (answer,) = json.loads(done.stdout)

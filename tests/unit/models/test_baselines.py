@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from benchmarks.studies.elsewhere import ELSEWHERE
 from models.baselines import DampedVelocity, Forecaster, Ridge, ZeroVelocity
 from models.data.clips import Clip, load_clips
 from models.data.splits import PERSONAL_TRIAL, TEST_TRIALS, TRAIN_SUBJECTS, select
@@ -13,16 +14,6 @@ from models.metrics import Scores, bootstrap_ratio, evaluate_forecasts, squared_
 from models.spec import MotionSpec
 
 SPEC = MotionSpec()
-RIDGE = {
-    "2": (5.60, 13.62, 33.07, 41.57, 51.53, 56.41),
-    "4": (6.05, 15.01, 35.01, 42.60, 50.51, 54.05),
-    "6": (5.10, 12.81, 32.63, 41.87, 53.53, 59.95),
-}
-RIDGE_PERSONAL = {
-    "2": (5.31, 12.25, 27.65, 34.01, 41.26, 44.67),
-    "4": (5.63, 13.51, 30.70, 37.33, 44.32, 47.41),
-    "6": (4.65, 11.14, 27.20, 34.64, 43.93, 48.98),
-}
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +118,7 @@ def test_ridge_comes_near_the_reference_figures(utd_mhad: Path) -> None:
     clips = load_clips(utd_mhad)
     training = select(clips, subjects=TRAIN_SUBJECTS)
     base = Ridge.fit(cut_windows(training, SPEC), clips=training)
-    for subject, expected in RIDGE.items():
+    for subject, expected in ELSEWHERE["ridge"].items():
         own = cut_windows(select(clips, subjects=[subject], trials=[PERSONAL_TRIAL]), SPEC)
         test = cut_windows(select(clips, subjects=[subject], trials=TEST_TRIALS), SPEC)
         personal = base.personalize(own)
@@ -135,7 +126,7 @@ def test_ridge_comes_near_the_reference_figures(utd_mhad: Path) -> None:
         print(subject, base.strength, base.adaptation, before.mse_cm2, after.mse_cm2)
         assert before.mse_cm2 == pytest.approx(expected, rel=0.12)
         assert before.mse_cm2[-1] == pytest.approx(expected[-1], rel=0.05)
-        assert after.mse_cm2 == pytest.approx(RIDGE_PERSONAL[subject], rel=0.08)
+        assert after.mse_cm2 == pytest.approx(ELSEWHERE["ridge, personal"][subject], rel=0.08)
         window = torch.from_numpy(test.observed)
         errors = [
             squared_errors_cm2(forecaster(window).numpy(), test.future).mean(axis=1)
