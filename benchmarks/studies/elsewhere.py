@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from benchmarks.studies.measured import Measured
+from benchmarks.studies.measured import Measured, divide_by
 from benchmarks.studies.tables import Table
 from models.metrics import FRAMES
 
@@ -37,8 +37,6 @@ ELSEWHERE: dict[str, dict[str, tuple[float, ...]]] = {
 }
 """cm², mean over frames 1..k, by method and subject, at the frames of the table."""
 _FROM = FRAMES.index(4)
-
-
 COMPARED = (
     ("shipped", "base", "siMLPe"),
     ("shipped", "served", "siMLPe, personal"),
@@ -54,25 +52,6 @@ COMPARED = (
 """Family, method, and what it is divided by: ours first, then our own peers by themselves."""
 
 
-def divide(found: Mapping[int, Mapping[str, Measured]], method: str, other: str) -> np.ndarray:
-    """Divide errors, averaged over seeds, by those of the other implementation.
-
-    Args:
-        found: what was measured, by seed and subject.
-        method: of ours.
-        other: a key of `ELSEWHERE`.
-
-    Returns:
-        [subject, frame] ratios.
-    """
-    ratios = [
-        [np.divide(one.cm2(method), ELSEWHERE[other][subject]) for subject, one in seed.items()]
-        for seed in found.values()
-    ]
-    averaged: np.ndarray = np.mean(ratios, axis=0)
-    return averaged
-
-
 def compare_elsewhere(
     families: Mapping[str, Mapping[int, Mapping[str, Measured]]], methods: Mapping[str, str]
 ) -> Table:
@@ -85,12 +64,12 @@ def compare_elsewhere(
     lines = []
     for family, method, other in COMPARED:
         if family in families:
-            ratios = divide(families[family], method, other)
+            seeds = families[family].values()
+            ratios = np.mean([divide_by(one, method, ELSEWHERE[other]) for one in seeds], axis=0)
             later = ratios[:, _FROM:]
             told = (ratios.mean(), later.mean(), later.max(), ratios.max())
-            seeds = str(len(families[family]))
             name = f"{family}, {methods[method]}"
-            lines.append((name, other, seeds, *(f"{value:.3f}" for value in told)))
+            lines.append((name, other, str(len(seeds)), *(f"{value:.3f}" for value in told)))
     columns = (
         "trained on, method",
         "divided by, elsewhere",

@@ -7,7 +7,7 @@ import numpy as np
 
 from benchmarks.studies.cache import Row
 from benchmarks.studies.elsewhere import compare_elsewhere
-from benchmarks.studies.measured import LAST, Measured, average, join, measure
+from benchmarks.studies.measured import LAST, Measured, average, divide_by, join, measure
 from benchmarks.studies.peers import RIDGE, SIMLPE, describe_simlpe_fit, make_ridge, make_simlpe
 from benchmarks.studies.personal import compare_versions
 from benchmarks.studies.recordings import UTD, read_person
@@ -157,12 +157,8 @@ def compare_with_paper(found: Mapping[str, Measured], method: str) -> dict[str, 
         found: by subject.
         method: one of `METHODS`.
     """
-    ratios = np.array(
-        [
-            np.divide(one.cm2(method), PUBLISHED[PAPER_ROWS[method], subject])
-            for subject, one in found.items()
-        ]
-    )
+    papers = {subject: PUBLISHED[PAPER_ROWS[method], subject] for subject in found}
+    ratios = divide_by(found, method, papers)
     late, early = ([FRAMES.index(frame) for frame in chosen] for chosen in (LATE, EARLY))
     return {
         "late": float(ratios[:, late].mean()),

@@ -104,6 +104,17 @@ def measure(methods: Mapping[str, Forecaster], clips: Sequence[Clip]) -> Measure
     return Measured(tuple(c.action for c in long), tuple(c.trial for c in long), sums)
 
 
+def divide_by(
+    found: Mapping[str, Measured], method: str, rows: Mapping[str, Sequence[float]]
+) -> np.ndarray:
+    """Divide a method's errors by rows that others measured; both by subject.
+
+    Returns:
+        [subject, frame] ratios, at the frames of the table.
+    """
+    return np.array([np.divide(one.cm2(method), rows[who]) for who, one in found.items()])
+
+
 def join(parts: Sequence[Measured]) -> Measured:
     """Put what was measured on several people together."""
     methods = parts[0].sums

@@ -27,8 +27,6 @@ from models.predictor import Predictor
 from models.training.finetune import FinetuneConfig, blend, encode_clips, fit_decoder
 
 BUDGETS_S = (1.0, 2.0, 5.0, 10.0, 20.0, 60.0)
-CHOOSING = ("3", "7")
-"""Subjects by which a budget may be chosen; the others are for the figure."""
 ENCODING_SHARE = 0.3
 """Part of a budget that copies of windows may take to be encoded."""
 TIMED = f"{UTD}/2"
@@ -38,9 +36,9 @@ CORRECTIONS: dict[str, Correct] = {"closed form": KernelCorrection.fit}
 METHODS = {"plain": "fitted", "gated": f"{BLEND:.0%} and gated"}
 
 
-def plan(_: Options) -> list[Unit]:
-    """List fits by budget, corrections, and whole runs by threads."""
-    people = [f"{UTD}/{subject}" for subject in (*CHOOSING, *TEST_SUBJECTS)]
+def plan(options: Options) -> list[Unit]:
+    """List fits by budget, corrections, and whole runs by threads; others with `--people`."""
+    people = options.people or tuple(f"{UTD}/{subject}" for subject in TEST_SUBJECTS)
     units = [
         Unit(
             f"{person}, {budget:g} s", find_base(person), person, {"budget_s": budget}, budget + 15

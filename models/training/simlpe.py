@@ -46,7 +46,8 @@ class SimlpeConfig:
     """Everything that decides what training gives; equal settings and data give equal weights.
 
     Taken over from the base's settings: shares and pools of the sampler, warm-up, averaging of the
-    weights, largest gradient. Chosen on a left-out subject, see LOG.md: augmentation, rate, steps.
+    weights, largest gradient. Tried on a left-out subject, see LOG.md: heading, blends, objective,
+    steps.
 
     Attributes:
         sizes: of the net.

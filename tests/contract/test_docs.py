@@ -2,16 +2,11 @@
 
 import re
 
-import pytest
-from typer.main import get_command
-
 from app.api.errors import find_answer
-from app.cli import LAZY, app, load_command
 from app.domain.errors import KinecastError, StartError
 from app.live.telemetry import Telemetry
 from app.settings import list_settings
 from tests.conftest import ROOT
-from tests.contract.pages import list_commands, list_pages
 
 
 def read_table(name, heading):
@@ -70,70 +65,6 @@ def test_routes_named_in_operations_exist(tmp_path):
     named = set(re.findall(r"`(?:[A-Z]+ )?(/[a-z0-9/._-]*)`", text)) - {"/run/secrets"}
     assert named
     assert {path for path in named if path not in known} == set()
-
-
-@pytest.mark.parametrize("page", list_pages(), ids=lambda page: str(page.relative_to(ROOT)))
-def test_commands_on_pages_can_be_parsed(page):
-    for words in list_commands(page.read_text(encoding="utf-8")):
-        assert explain_command(words) == "", f"kinecast {' '.join(words)}"
-
-
-def test_commands_are_found_in_blocks_and_in_backticks():
-    page = """
-Run `kinecast keys create --name "robot 7"`, or `kinecast walk`; kinecast is its name.
-
-```sh
-kinecast evaluate --data mine.npz \\
-  --subjects p1 | tee log    # everybody
-export KEY=$(kinecast keys create --scope predict)
-.venv/bin/kinecast calibrate $D --data [FILE] --fold …
-```
-
-```python
-kinecast = 3
-```
-"""
-    assert list_commands(page) == [
-        ["evaluate", "--data", "mine.npz", "--subjects", "p1"],
-        ["keys", "create", "--scope", "predict"],
-        ["calibrate", "--data", "--fold"],
-        *sorted([["keys", "create", "--name", "robot 7"], ["walk"]]),
-    ]
-
-
-def explain_command(words):
-    """Say what is wrong with the arguments of a command; nothing where it would run."""
-    lazy = {one.name: load_command(one) for one in LAZY if one.name == words[0]}
-    command = get_command(next(iter(lazy.values()), app))
-    words = words[1:] if lazy else words
-    while hasattr(command, "commands") and words and not words[0].startswith("-"):
-        if words[0] not in command.commands:
-            return f"no command {words[0]}"
-        command, words = command.commands[words[0]], words[1:]
-    parser = command.make_parser(command.context_class(command, info_name="kinecast"))
-    try:
-        _, left, _ = parser.parse_args(list(words))
-    except Exception as error:  # noqa: BLE001 - Typer's own classes are private
-        return str(error)
-    return f"too much: {left}" if left else ""
-
-
-@pytest.mark.parametrize(
-    ("line", "wrong"),
-    [
-        ("keys create --name robot --scope predict", ""),
-        ("keys create robot --scope predict", "too much"),
-        ("keys make", "no command make"),
-        ("evaluate --dta here", "No such option: --dta"),
-        ("evaluate --data", "requires an argument"),
-        ("bench streams", "no command streams"),
-        ("walk", "no command walk"),
-    ],
-)
-def test_wrong_commands_would_be_seen(line, wrong):
-    found = explain_command(line.split())
-    assert wrong in found
-    assert bool(wrong) == bool(found)
 
 
 def test_every_metric_is_documented_with_its_type_and_labels():

@@ -10,6 +10,7 @@ from typer.main import get_command
 from app.cli import LAZY, app, load_command
 from tests.conftest import ROOT
 from tests.contract.pages import (
+    list_commands,
     list_links,
     list_pages,
     read_blocks,
@@ -72,24 +73,68 @@ def test_every_command_is_in_the_pages():
     assert {command for command in name_commands() if f"kinecast {command}" not in text} == set()
 
 
-def test_every_command_that_a_page_names_exists():
-    commands = name_commands()
-    words = {command.split()[0] for command in commands}
-    wrong = []
-    for name in NAMES:
-        for line in re.findall(r"(?:^|[`(/ ])kinecast ([a-z][^`\n]*)", quote_only(read_page(name))):
-            first, *rest = line.split()
-            if first not in words or (
-                first not in commands and (not rest or f"{first} {rest[0]}" not in commands)
-            ):
-                wrong.append((name, line))
-    assert wrong == []
+@pytest.mark.parametrize("name", NAMES)
+def test_every_command_that_a_page_names_can_be_parsed(name):
+    for words in list_commands(read_page(name)):
+        assert explain_command(words) == "", f"kinecast {' '.join(words)}"
 
 
-def quote_only(text: str) -> str:
-    """The code of a page: what is in backticks and in shell blocks, one piece a line."""
-    pieces = re.findall(r"`([^`\n]+)`", strip_blocks(text))
-    return "\n".join([*pieces, *read_blocks(text, "sh")])
+def test_commands_are_found_in_blocks_and_in_backticks():
+    page = """
+Run `kinecast keys create --name "robot 7"`, or `kinecast walk`; kinecast is its name.
+
+```sh
+kinecast evaluate --data mine.npz \\
+  --subjects p1 | tee log    # everybody
+export KEY=$(kinecast keys create --scope predict)
+.venv/bin/kinecast calibrate $D --data [FILE] --fold …
+```
+
+```python
+kinecast = 3
+```
+"""
+    assert list_commands(page) == [
+        ["evaluate", "--data", "mine.npz", "--subjects", "p1"],
+        ["keys", "create", "--scope", "predict"],
+        ["calibrate", "--data", "--fold"],
+        *sorted([["keys", "create", "--name", "robot 7"], ["walk"]]),
+    ]
+
+
+def explain_command(words):
+    """Say what is wrong with the arguments of a command; nothing where it would run."""
+    lazy = {one.name: load_command(one) for one in LAZY if one.name == words[0]}
+    command = get_command(next(iter(lazy.values()), app))
+    words = words[1:] if lazy else words
+    while hasattr(command, "commands") and words and not words[0].startswith("-"):
+        if words[0] not in command.commands:
+            return f"no command {words[0]}"
+        command, words = command.commands[words[0]], words[1:]
+    parser = command.make_parser(command.context_class(command, info_name="kinecast"))
+    try:
+        _, left, _ = parser.parse_args(list(words))
+    except Exception as error:  # noqa: BLE001 - Typer's own classes are private
+        return str(error)
+    return f"too much: {left}" if left else ""
+
+
+@pytest.mark.parametrize(
+    ("line", "wrong"),
+    [
+        ("keys create --name robot --scope predict", ""),
+        ("keys create robot --scope predict", "too much"),
+        ("keys make", "no command make"),
+        ("evaluate --dta here", "No such option: --dta"),
+        ("evaluate --data", "requires an argument"),
+        ("bench streams", "no command streams"),
+        ("walk", "no command walk"),
+    ],
+)
+def test_wrong_commands_would_be_seen(line, wrong):
+    found = explain_command(line.split())
+    assert wrong in found
+    assert bool(wrong) == bool(found)
 
 
 def read_tree() -> list[Path]:

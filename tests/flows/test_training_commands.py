@@ -161,6 +161,23 @@ def test_bad_usage_is_one_clear_line_and_exit_status_2(
     assert "Traceback" not in result.output
 
 
+@pytest.mark.parametrize("command", ["pretrain", "pretrain-peer"])
+def test_who_only_tests_is_never_mixed_into_training(
+    command: str, collection: Path, tmp_path: Path
+) -> None:
+    more, made = tmp_path / "utd-mhad.npz", tmp_path / "made.safetensors"
+    more.write_bytes(collection.read_bytes())  # subjects 1, 2 and 3 under UTD-MHAD's name
+    data = ["--data", collection, "--subjects", "1", "--mix", more]
+    steps = STEPS if command == "pretrain" else STEPS[:2]
+    run(command, *data, "--out", made, *steps)
+    read = load_checkpoint if command == "pretrain" else load_simlpe
+    used = read(made).metadata["data"]
+    assert {source: one["subjects"] for source, one in used.items()} == {
+        "people": ["1"],
+        "utd-mhad": ["1", "3"],
+    }
+
+
 def test_a_person_is_fine_tuned_judged_and_scored(tmp_path: Path) -> None:
     clips = [SyntheticPerson(1).record(ACTIONS[i % 6], 2.0) for i in range(8)]
     people = tmp_path / "people.npz"

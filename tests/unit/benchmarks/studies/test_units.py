@@ -14,9 +14,9 @@ from models.baselines import Ridge
 from models.training.simlpe import SimlpeFinetune
 
 
-def compute(study, name, lab):
+def compute(study, name, lab, *people):
     """Train the unit's base, compute its row, and write and read it."""
-    (unit,) = (unit for unit in study.plan(Options()) if unit.name == name)
+    (unit,) = (unit for unit in study.plan(Options(people)) if unit.name == name)
     if unit.base and not unit.base.startswith("shipped-0"):
         train_base(lab.recipes[unit.base], lab.place)
     row = {**name_row(unit), **study.compute(unit, lab)}
@@ -103,7 +103,7 @@ def test_a_fit_of_the_whole_net_has_a_row(lab, monkeypatch):
 
 
 def test_a_fit_within_a_budget_says_what_it_cost(lab):
-    row = compute(seconds.STUDY, "utd-mhad/3, 1 s", lab)
+    row = compute(seconds.STUDY, "utd-mhad/3, 1 s", lab, "utd-mhad/3")
     assert row["steps"] >= 1
     assert row["windows"] == 5 * 41 * row["copies"]
     assert methods_of(row) == {"zero_velocity", "base", "plain", "gated"}
@@ -123,7 +123,7 @@ def test_runs_are_timed(judged, lab, monkeypatch):
 
 def test_a_closed_form_has_a_line_beside_the_fits(lab, monkeypatch):
     monkeypatch.setitem(seconds.CORRECTIONS, "nothing", lambda net, trial: net)
-    row = compute(seconds.STUDY, "utd-mhad/3, nothing", lab)
+    row = compute(seconds.STUDY, "utd-mhad/3, nothing", lab, "utd-mhad/3")
     found = Measured.from_json(row["errors"])
     assert found.ratio("plain", "base") == 1.0
     (fits, _) = seconds.STUDY.summarise([row])
