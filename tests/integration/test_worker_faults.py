@@ -19,6 +19,9 @@ from tests.support import open_database, watch_person
 
 pytestmark = pytest.mark.asyncio
 
+MOST_PAGES = 1_073_741_823
+"""Of an SQLite file that nothing holds back."""
+
 
 async def expect_one_version(database, user, job_id, *, attempt):
     job = await get(database, job_id)
@@ -70,49 +73,48 @@ async def test_figures_that_are_no_numbers_are_stored_as_none(database):
     assert version.metrics["deep"] == {"after": [None, 0.5]}
 
 
-@contextmanager
-def full_disk(database) -> Iterator[None]:
-    """No page more than there are: SQLite says that the disk is full."""
+class Disk:
+    """A disk that can be full: no page more than there are, so that SQLite says so.
 
-    def limit(connection, record, proxy) -> None:
+    It listens from the beginning and to the end, because listeners must not change while a
+    connection is on its way to the worker.
+    """
+
+    def __init__(self, database) -> None:
+        self._database, self._most_pages = database, MOST_PAGES
+        event.listen(database._engine.sync_engine.pool, "checkout", self._limit)
+
+    def _limit(self, connection, record, proxy) -> None:
         del record, proxy
         cursor = connection.cursor()
-        cursor.execute("PRAGMA max_page_count = 1")  # it takes the number of pages there are
+        cursor.execute(f"PRAGMA max_page_count = {self._most_pages}")
         cursor.close()
 
-    def forget(connection, record) -> None:
-        del record
-        cursor = connection.cursor()
-        cursor.execute("PRAGMA max_page_count = 1073741823")
-        cursor.close()
+    @contextmanager
+    def full(self) -> Iterator[None]:
+        self._most_pages = 1  # it takes the number of pages there are
+        try:
+            yield
+        finally:
+            self._most_pages = MOST_PAGES
 
-    pool = database._engine.sync_engine.pool
-    event.listen(pool, "checkout", limit)
-    event.listen(pool, "checkin", forget)
-    try:
-        yield
-    finally:
-        event.remove(pool, "checkout", limit)
-        event.remove(pool, "checkin", forget)
-
-
-async def fill_pages(database) -> None:
-    """Use up the pages that are there and empty."""
-    async with database.write() as tx:
-        await tx.execute(text("CREATE TABLE ballast (x BLOB)"))
-    with full_disk(database), suppress(NotReadyError):
-        while True:
-            async with database.write() as tx:
-                await tx.execute(text("INSERT INTO ballast VALUES (zeroblob(3000))"))
+    async def fill_pages(self) -> None:
+        """Use up the pages that are there and empty."""
+        async with self._database.write() as tx:
+            await tx.execute(text("CREATE TABLE ballast (x BLOB)"))
+        with self.full(), suppress(NotReadyError):
+            while True:
+                async with self._database.write() as tx:
+                    await tx.execute(text("INSERT INTO ballast VALUES (zeroblob(3000))"))
 
 
 async def test_a_result_waits_until_there_is_space_for_it(sqlite_database):
-    database = sqlite_database
+    database, disk = sqlite_database, Disk(sqlite_database)
     user, _, job_id = await add_job(database)
     async with running(database, "bulky"):
         await wait_for(database, job_id, lambda job: job.progress is not None)
-        await fill_pages(database)
-        with full_disk(database):
+        await disk.fill_pages()
+        with disk.full():
             await asyncio.sleep(1.2)
             job = await get(database, job_id)
             async with database.read() as tx:
@@ -188,9 +190,10 @@ async def test_the_job_of_a_killed_worker_is_done_once_by_the_next(sqlite_databa
 async def test_what_cannot_be_stored_is_not_accepted_and_forecasts_go_on(sqlite_service):
     service = sqlite_service
     await service.add_user()
-    await fill_pages(service.database)
+    disk = Disk(service.database)
+    await disk.fill_pages()
     clip = {"frames": watch_person(2.0).round(4).tolist(), "action": "wave"}
-    with full_disk(service.database):
+    with disk.full():
         refused = await upload(service, clip)
         assert (refused.status_code, refused.json()["code"]) == (503, "not_ready")
         seen = {"frames": watch_person(0.5).tolist()}
